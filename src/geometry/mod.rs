@@ -1,0 +1,9 @@
+//! Points, poses and planes that know their frame, and least-squares fits.
+
+mod fit;
+mod frame;
+mod plane;
+
+pub use fit::{LineFit, PlaneFit, fit_line, fit_plane};
+pub use frame::{Camera, Frame, Odom, Point, Robot, Sensor, Transform, World};
+pub use plane::Plane;
