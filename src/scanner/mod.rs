@@ -1,0 +1,10 @@
+//! The simulated finder: what its camera sees of the laser line in a world.
+
+mod camera;
+mod noise;
+mod render;
+mod sweep;
+
+pub use camera::ImageParams;
+pub use render::{Exposure, Renderer, TrueSight};
+pub use sweep::{Head, Schedule, Servo, ServoParams, Shot, Stop, Sweep, SweepParams, Trigger};
