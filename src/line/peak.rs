@@ -1,0 +1,279 @@
+//! The row of a stripe in one column to a fraction of a pixel: one function an estimator, each with its σ.
+//!
+//! All work on levels over the background in a window about the ridge, with `variance` the noise of each pixel [levels²]:
+//! read noise and texture as seen in the image, quantisation (1/12) and shot noise. σ follows from the estimator's own
+//! derivatives, so it is for noise that is white along the column.
+
+use serde::{Deserialize, Serialize};
+
+use super::LineParams;
+use crate::image::{Image, Peak};
+
+/// How a row is found to a fraction of a pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Estimator {
+    /// By the stripe's look: the middle of the edges where it is saturated, Gauss-5 where it is wide, Gauss-3 where it is
+    /// narrow, and the centroid where it is too dim for logarithms.
+    #[default]
+    Auto,
+    /// The row of the brightest pixel, as the paper has it: σ = 1/√12.
+    WholePixel,
+    /// Centre of the light over seven rows.
+    Centroid,
+    /// The Gaussian through three pixels.
+    Gauss3,
+    /// The Gaussian nearest to five pixels, weighted by their levels squared.
+    Gauss5,
+    /// The zero of the Blais–Rioux filter of order four.
+    BlaisRioux,
+}
+
+/// Rows above and below the middle of a window.
+const REACH: usize = 6;
+/// Rows of a window.
+const SIZE: usize = 2 * REACH + 1;
+/// A peak farther than this from its ridge's row is not that ridge's [px].
+const STRAY_MAX: f32 = 2.5;
+/// Longest saturated run that is followed [px].
+const RUN_MAX: usize = 64;
+
+/// Levels over the background about a row.
+struct Window {
+    level: [f32; SIZE],
+    /// Variance of a pixel without light from the stripe [levels²].
+    read: f32,
+    /// Shot noise of the stripe's light: variance a level.
+    shot: f32,
+}
+
+impl Window {
+    /// Noise of a pixel [levels²] (EMVA 1288: read noise and texture, quantisation, shot noise).
+    fn variance(&self, i: usize) -> f32 {
+        self.read + self.shot * self.level[i].max(0.0)
+    }
+}
+
+/// An offset from the middle of a window [px] with its variance [px²].
+type Offset = (f32, f32);
+
+/// One column of an image with what is known of its light.
+pub(super) struct Column<'a> {
+    pub image: &'a Image,
+    pub u: usize,
+    /// Level without the stripe.
+    pub background: f32,
+    /// Noise of a pixel [levels].
+    pub noise: f32,
+}
+
+impl Column<'_> {
+    /// The peak near a ridge's row; `None` if what is there has no peak.
+    pub fn peak(&self, row: usize, params: &LineParams) -> Option<Peak> {
+        let top = self.brightest(row);
+        let level = self.level(top);
+        let (v, variance) = match params.estimator {
+            Estimator::WholePixel => Some((top as f32, 1.0 / 12.0)),
+            Estimator::Centroid => at(top, centroid(&self.window(top, params), 3)),
+            Estimator::Gauss3 => at(top, gauss3(&self.window(top, params))),
+            Estimator::Gauss5 => self.gauss5_centred(row, params),
+            Estimator::BlaisRioux => at(row, blais_rioux(&self.window(row, params))),
+            Estimator::Auto => self.auto(row, top, params),
+        }?;
+        let sigma = (variance + params.sigma_min_px * params.sigma_min_px).sqrt();
+        let inside = v >= -0.5 && v <= self.image.height() as f32 - 0.5;
+        (level > 0.0 && inside && sigma.is_finite()).then_some(Peak { v, sigma, level })
+    }
+
+    /// The estimator that fits the stripe's look.
+    fn auto(&self, row: usize, top: usize, params: &LineParams) -> Option<Offset> {
+        if self.is_full(top) {
+            return self.plateau(top, params);
+        }
+        let window = self.window(top, params);
+        let beside = |rows: usize| window.level[REACH - rows].min(window.level[REACH + rows]);
+        let seen = 2.0 * self.noise.max(0.5); // what a logarithm may be taken of
+        let near = |found: &Offset| (found.0 - row as f32).abs() <= STRAY_MAX;
+        let gauss = if beside(2) > seen.max(0.1 * window.level[REACH]) {
+            self.gauss5_centred(row, params)
+        } else if beside(1) > seen {
+            at(top, gauss3(&window))
+        } else {
+            None
+        };
+        gauss.filter(near).or_else(|| at(top, centroid(&window, 2))).filter(near)
+    }
+
+    /// The brightest pixel within a row of the ridge's.
+    fn brightest(&self, row: usize) -> usize {
+        let rows = row.saturating_sub(1)..=(row + 1).min(self.image.height() - 1);
+        rows.rev().max_by(|a, b| self.level(*a).total_cmp(&self.level(*b))).unwrap_or(row)
+    }
+
+    /// Level over the background; outside the image, that of its edge.
+    fn level(&self, v: usize) -> f32 {
+        let v = v.min(self.image.height() - 1);
+        f32::from(self.image.levels()[v * self.image.width() + self.u]) - self.background
+    }
+
+    fn is_full(&self, v: usize) -> bool {
+        self.image.levels()[v * self.image.width() + self.u] >= self.image.white()
+    }
+
+    fn window(&self, middle: usize, params: &LineParams) -> Window {
+        let (width, levels) = (self.image.width(), self.image.levels());
+        let level = if middle >= REACH && middle + REACH < self.image.height() {
+            let column = levels.iter().skip((middle - REACH) * width + self.u).step_by(width);
+            let mut level = [0.0; SIZE];
+            level.iter_mut().zip(column).for_each(|(to, from)| *to = f32::from(*from) - self.background);
+            level
+        } else {
+            std::array::from_fn(|i| self.level((middle + i).saturating_sub(REACH)))
+        };
+        let shot = f32::from(self.image.white()) / params.well_electrons;
+        Window { level, read: self.noise * self.noise + 1.0 / 12.0 + shot * self.background, shot }
+    }
+
+    /// Gauss-5, moved until its peak is in the window's middle row.
+    fn gauss5_centred(&self, row: usize, params: &LineParams) -> Option<Offset> {
+        let mut middle = row;
+        for _ in 0..3 {
+            let (offset, variance) = gauss5(&self.window(middle, params))?;
+            if offset.abs() <= 0.6 {
+                return Some((middle as f32 + offset, variance));
+            }
+            middle = if offset > 0.0 { (middle + 1).min(self.image.height() - 1) } else { middle.saturating_sub(1) };
+        }
+        None
+    }
+
+    /// A saturated stripe: the middle between the rows where its two edges cross half its height.
+    fn plateau(&self, top: usize, params: &LineParams) -> Option<Offset> {
+        let (mut first, mut last) = (top, top);
+        while first > 0 && self.is_full(first - 1) && last - first < RUN_MAX {
+            first -= 1;
+        }
+        while last + 1 < self.image.height() && self.is_full(last + 1) && last - first < RUN_MAX {
+            last += 1;
+        }
+        if first == last {
+            return at(top, centroid(&self.window(top, params), 3));
+        }
+        let half = self.level(top) / 2.0;
+        let window = self.window(top, params);
+        let noise = window.read + window.shot * half;
+        // The edge lies between the last row above half and the first one below it.
+        let edge = |rows: &mut dyn Iterator<Item = usize>| {
+            let mut inner = self.level(top);
+            for (steps, v) in rows.enumerate().take(REACH) {
+                let outer = self.level(v);
+                if outer < half {
+                    let slope = inner - outer;
+                    return Some((steps as f32 + (inner - half) / slope, noise / (slope * slope)));
+                }
+                inner = outer;
+            }
+            None
+        };
+        let (up, up_variance) = edge(&mut (0..first).rev())?;
+        let (down, down_variance) = edge(&mut (last + 1..self.image.height()))?;
+        let v = (first as f32 - up + last as f32 + down) / 2.0;
+        Some((v, (up_variance + down_variance) / 4.0))
+    }
+}
+
+fn at(row: usize, offset: Option<Offset>) -> Option<Offset> {
+    offset.map(|(offset, variance)| (row as f32 + offset, variance))
+}
+
+/// Σi·J/ΣJ over `reach` rows on both sides; light below the background counts as none.
+fn centroid(window: &Window, reach: usize) -> Option<Offset> {
+    let rows = || (REACH - reach..=REACH + reach).map(|i| (i, i as f32 - REACH as f32));
+    let light: f32 = rows().map(|(i, _)| window.level[i].max(0.0)).sum();
+    if light <= 0.0 {
+        return None;
+    }
+    let offset = rows().map(|(i, v)| v * window.level[i].max(0.0)).sum::<f32>() / light;
+    let variance: f32 = rows().map(|(i, v)| (v - offset) * (v - offset) * window.variance(i)).sum();
+    Some((offset, variance / (light * light)))
+}
+
+/// δ = ½(ln I₋ − ln I₊)/(ln I₋ − 2 ln I₀ + ln I₊).
+fn gauss3(window: &Window) -> Option<Offset> {
+    let [a, b, c] = [REACH - 1, REACH, REACH + 1].map(|i| window.level[i]);
+    if a.min(b).min(c) <= 0.0 {
+        return None;
+    }
+    let (slope, bend) = (a.ln() - c.ln(), a.ln() - 2.0 * b.ln() + c.ln());
+    if bend >= 0.0 {
+        return None;
+    }
+    let offset = 0.5 * slope / bend;
+    // dδ/d(ln I) for the three, times d(ln I)/dI.
+    let parts = [(0.5 - offset) / bend / a, 2.0 * offset / bend / b, (-0.5 - offset) / bend / c];
+    let variance = (0..3).map(|i| parts[i] * parts[i] * window.variance(REACH - 1 + i)).sum();
+    (offset.abs() <= 1.0).then_some((offset, variance))
+}
+
+/// The parabola nearest to the logarithms of five pixels, weighted by their levels squared (Guo 2011).
+fn gauss5(window: &Window) -> Option<Offset> {
+    let peak = window.level[REACH];
+    if peak <= 0.0 {
+        return None;
+    }
+    // Moments of the weights and of the weighted logarithms, relative to the peak: Σw·xⁿ and Σw·xⁿ·ln I.
+    let (mut s, mut t) = ([0f32; 5], [0f32; 3]);
+    let mut weights = [0f32; 5];
+    for (i, weight) in weights.iter_mut().enumerate() {
+        let (x, y) = (i as f32 - 2.0, (window.level[REACH - 2 + i] / peak).max(1e-3));
+        let log = y.ln();
+        *weight = y * y;
+        let mut power = *weight;
+        for n in 0..5 {
+            s[n] += power;
+            if n < 3 {
+                t[n] += power * log;
+            }
+            power *= x;
+        }
+    }
+    // Cofactors of the normal equations' matrix [s0 s1 s2; s1 s2 s3; s2 s3 s4], second and third row.
+    let slope_row = [s[2] * s[3] - s[1] * s[4], s[0] * s[4] - s[2] * s[2], s[1] * s[2] - s[0] * s[3]];
+    let bend_row = [s[1] * s[3] - s[2] * s[2], s[1] * s[2] - s[0] * s[3], s[0] * s[2] - s[1] * s[1]];
+    let dot = |row: &[f32; 3], x: [f32; 3]| row[0] * x[0] + row[1] * x[1] + row[2] * x[2];
+    let (slope, bend) = (dot(&slope_row, t), dot(&bend_row, t)); // both times the determinant
+    if bend.is_nan() || bend >= 0.0 {
+        return None;
+    }
+    let offset = -0.5 * slope / bend;
+    let mut variance = 0.0;
+    for (i, weight) in weights.iter().enumerate() {
+        let x = i as f32 - 2.0;
+        let row = [1.0, x, x * x];
+        let log_part = -weight * (dot(&slope_row, row) + 2.0 * offset * dot(&bend_row, row)) / (2.0 * bend);
+        let part = log_part / (window.level[REACH - 2 + i].max(1e-3 * peak));
+        variance += part * part * window.variance(REACH - 2 + i);
+    }
+    offset.is_finite().then_some((offset, variance))
+}
+
+/// The zero of g(i) = I(i−2) + I(i−1) − I(i+1) − I(i+2) nearest to the middle, on the line between two rows.
+fn blais_rioux(window: &Window) -> Option<Offset> {
+    let g = |i: usize| window.level[i - 2] + window.level[i - 1] - window.level[i + 1] - window.level[i + 2];
+    let mut best: Option<Offset> = None;
+    for i in REACH - 3..REACH + 3 {
+        let (here, next) = (g(i), g(i + 1));
+        if here < 0.0 && next >= 0.0 {
+            let t = here / (here - next);
+            let offset = i as f32 + t - REACH as f32;
+            // g between the rows is (1 − t)·g(i) + t·g(i+1): the sum of these parts of six pixels.
+            let parts = [1.0 - t, 1.0, t, t - 1.0, -1.0, -t];
+            let noise: f32 = (0..6).map(|n| parts[n] * parts[n] * window.variance(i + n - 2)).sum();
+            let variance = noise / ((next - here) * (next - here));
+            if best.is_none_or(|(other, _)| offset.abs() < other.abs()) {
+                best = Some((offset, variance));
+            }
+        }
+    }
+    best
+}
