@@ -1,0 +1,239 @@
+//! How the viewer lays the drawing out when it opens.
+//!
+//! Rerun's own `Blueprint` cannot set eyes, bounds and time ranges, so the same entities are logged here one by one.
+//! Ids within the layout are fixed, so that the layouts of all runs are alike.
+
+use nalgebra::Vector3;
+use rerun::external::re_log_types::BlueprintActivationCommand;
+use rerun::external::re_sdk_types::blueprint::archetypes::{
+    ContainerBlueprint, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend, TextLogColumns, TimePanelBlueprint,
+    ViewBlueprint, ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualBounds2D,
+};
+use rerun::external::re_sdk_types::blueprint::components as parts;
+use rerun::external::re_sdk_types::blueprint::datatypes::{TextLogColumn, TextLogColumnKind};
+use rerun::external::re_sdk_types::datatypes;
+use rerun::{AsComponents, RecordingStream, RecordingStreamBuilder};
+
+use super::{APPLICATION, Out, f32s};
+use crate::fault::{Fault, Result};
+
+/// What the layout depends on.
+#[derive(Clone, Debug)]
+pub(super) struct Layout {
+    /// Size of the camera's image [px].
+    pub image_px: [f32; 2],
+    /// Lower and upper corner of what the 3D views shall show [m].
+    pub bounds_m: [Vector3<f64>; 2],
+    /// Whether there is a true scene to draw, and errors to plot.
+    pub has_truth: bool,
+}
+
+/// Half the viewer's vertical field of view: 55° [rad].
+const HALF_FOV_RAD: f64 = 0.48;
+
+/// Entities whose whole past is shown, not only their latest row.
+const HISTORIES: [&str; 3] = ["world/points", "path/estimated", "path/true"];
+
+/// Logs parts of one layout and numbers them.
+struct Book {
+    stream: RecordingStream,
+    parts: u8,
+}
+
+/// A part of the layout: its path and its number.
+struct Part {
+    path: String,
+    number: u8,
+}
+
+/// Sends the layout down the stream, to be used at once and from then on.
+pub(super) fn send(out: &Out, layout: &Layout, revision: i64) -> Result<()> {
+    let rejected = |e: rerun::RecordingStreamError| Fault::new("the viewer's layout", e, "a working Rerun stream");
+    let info = out.0.store_info().ok_or_else(|| Fault::new("the viewer's layout", "no stream", "a stream"))?;
+    let builder = RecordingStreamBuilder::new(APPLICATION).enabled(true).blueprint();
+    let (stream, stored) = builder.recording_id(info.store_id.recording_id().clone()).memory().map_err(rejected)?;
+    stream.set_log_tick_enabled(false);
+    stream.set_log_time_enabled(false);
+    stream.set_time_sequence("blueprint", revision);
+    write(&mut Book { stream, parts: 0 }, layout).map_err(rejected)?;
+    let messages = stored.take();
+    let Some(first) = messages.first() else { return Ok(()) };
+    let activation = BlueprintActivationCommand::make_active(first.store_id().clone());
+    out.0.send_blueprint(messages, activation);
+    Ok(())
+}
+
+fn write(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<()> {
+    let world = world_view(book, layout)?;
+    let map = map_view(book, layout)?;
+    let scenes = book.container(parts::ContainerKind::Tabs, &[world, map], &[])?;
+    let camera = camera_view(book, layout)?;
+    let plan = plan_view(book, layout)?;
+    let mut plots = vec![];
+    if layout.has_truth {
+        plots.push(plot_view(book, "Errors", &["/metrics/point_rms_mm", "/metrics/pose_error_mm"])?);
+    }
+    plots.push(plot_view(book, "Counts", &["/metrics/points", "/metrics/dropped", "/metrics/lost"])?);
+    let plots = book.container(parts::ContainerKind::Tabs, &plots, &[])?;
+    let log = book.view("TextLog", "Log", "/", &["/log"])?;
+    let columns = [TextLogColumnKind::LogLevel, TextLogColumnKind::Body];
+    let columns = columns.map(|kind| parts::TextLogColumn(TextLogColumn { kind, visible: true.into() }));
+    book.set(&log, "TextLogColumns", &TextLogColumns::new().with_text_log_columns(columns))?;
+    let about = book.view("TextDocument", "About", "/", &["/about"])?;
+    let words = book.container(parts::ContainerKind::Tabs, &[log, about], &[])?;
+    let column = book.container(parts::ContainerKind::Vertical, &[camera, plan, plots, words], &[3.0, 3.0, 2.0, 2.0])?;
+    let root = book.container(parts::ContainerKind::Horizontal, &[scenes, column], &[5.0, 3.0])?;
+    let viewport = ViewportBlueprint::new()
+        .with_root_container(parts::RootContainer(datatypes::Uuid { bytes: uuid_bytes(root.number) }))
+        .with_auto_layout(false)
+        .with_auto_views(false);
+    book.stream.log("viewport", &viewport)?;
+    for panel in ["blueprint_panel", "selection_panel"] {
+        book.stream.log(panel, &PanelBlueprint::new().with_state(parts::PanelState::Collapsed))?;
+    }
+    let time = TimePanelBlueprint::new()
+        .with_state(parts::PanelState::Collapsed)
+        .with_timeline("sim_time")
+        .with_play_state(parts::PlayState::Following);
+    book.stream.log("time_panel", &time)
+}
+
+/// The true scene, the robot, and the points it has seen.
+fn world_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<Part> {
+    let name = if layout.has_truth { "World: true scene and measured points" } else { "World: measured points" };
+    let contents = ["/world/**", "/path/**", "- /world/occupancy/**", "- /world/terrain/**"];
+    let view = book.view("3D", name, "/world", &contents)?;
+    book.set(&view, "EyeControls3D", &from_the_side(&layout.bounds_m))?;
+    book.whole_past(&view)?;
+    Ok(view)
+}
+
+/// What was made of the points: voxels and terrain.
+fn map_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<Part> {
+    let contents = ["/world/occupancy/**", "/world/terrain/**", "/world/robot/**", "/path/**"];
+    let view = book.view("3D", "Map: voxels and terrain", "/world", &contents)?;
+    book.set(&view, "EyeControls3D", &from_the_side(&layout.bounds_m))?;
+    book.whole_past(&view)?;
+    Ok(view)
+}
+
+fn camera_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<Part> {
+    let [width, height] = layout.image_px;
+    let range = |end: f32| datatypes::Range1D([0.0, f64::from(end)]);
+    let view = book.view("2D", "Camera: image and the line found", "/camera/image", &["/camera/image/**"])?;
+    let bounds = datatypes::Range2D { x_range: range(width), y_range: range(height) };
+    book.set(&view, "VisualBounds2D", &VisualBounds2D::new(parts::VisualBounds2D(bounds)))?;
+    Ok(view)
+}
+
+fn plan_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<Part> {
+    let view = book.view("3D", "Plan view", "/world", &["/plan", "/path/**", "/world/robot/body", "/world/profile"])?;
+    let [low, high] = layout.bounds_m;
+    let (middle, size) = ((low + high) / 2.0, high - low);
+    let above_m = (size.y.max(size.x / 2.0).max(1.0) / 2.0) / HALF_FOV_RAD.tan() * 1.05;
+    let floor = Vector3::new(middle.x, middle.y, 0.0);
+    let eye = EyeControls3D::new()
+        .with_position(f32s(&(floor + Vector3::z() * above_m)))
+        .with_look_target(f32s(&floor))
+        .with_eye_up([0.0, 1.0, 0.0]);
+    book.set(&view, "EyeControls3D", &eye)?;
+    book.set(&view, "LineGrid3D", &LineGrid3D::new().with_visible(false))?;
+    book.whole_past(&view)?;
+    Ok(view)
+}
+
+fn plot_view(book: &mut Book, name: &str, series: &[&str]) -> rerun::RecordingStreamResult<Part> {
+    let view = book.view("TimeSeries", name, "/metrics", series)?;
+    book.set(&view, "PlotLegend", &PlotLegend::new().with_corner(parts::Corner2D::LeftTop))?;
+    Ok(view)
+}
+
+/// An eye that sees all of the box from behind and above.
+fn from_the_side([low, high]: &[Vector3<f64>; 2]) -> EyeControls3D {
+    let radius = ((high - low).norm() / 2.0).max(0.1);
+    let target = (low + high) / 2.0;
+    let direction = Vector3::new(-0.55, -0.65, 0.62).normalize();
+    let position = target + direction * (radius * 0.8 / HALF_FOV_RAD.sin());
+    EyeControls3D::new().with_position(f32s(&position)).with_look_target(f32s(&target)).with_eye_up([0.0, 0.0, 1.0])
+}
+
+impl Book {
+    fn part(&mut self, kind: &str) -> Part {
+        self.parts += 1;
+        let hex: String = uuid_bytes(self.parts).iter().map(|byte| format!("{byte:02x}")).collect();
+        let id = [&hex[..8], &hex[8..12], &hex[12..16], &hex[16..20], &hex[20..]].join("-");
+        Part { path: format!("{kind}/{id}"), number: self.parts }
+    }
+
+    fn view(
+        &mut self,
+        class: &str,
+        name: &str,
+        origin: &str,
+        contents: &[&str],
+    ) -> rerun::RecordingStreamResult<Part> {
+        let part = self.part("view");
+        let contents = contents.iter().map(|query| parts::QueryExpression((*query).into()));
+        self.stream.log(format!("{}/ViewContents", part.path), &ViewContents::new(contents))?;
+        let view = ViewBlueprint::new(parts::ViewClass(class.into())).with_display_name(name).with_space_origin(origin);
+        self.stream.log(part.path.as_str(), &view)?;
+        Ok(part)
+    }
+
+    /// Sets a property of a view.
+    fn set(&self, view: &Part, property: &str, value: &dyn AsComponents) -> rerun::RecordingStreamResult<()> {
+        self.stream.log(format!("{}/{property}", view.path), value)
+    }
+
+    /// Shows the whole past of the entities that only grow.
+    fn whole_past(&self, view: &Part) -> rerun::RecordingStreamResult<()> {
+        let range = |timeline: &str| {
+            parts::VisibleTimeRange(datatypes::VisibleTimeRange {
+                timeline: timeline.into(),
+                range: datatypes::TimeRange {
+                    start: datatypes::TimeRangeBoundary::Infinite,
+                    end: datatypes::TimeRangeBoundary::CursorRelative(datatypes::TimeInt(0)),
+                },
+            })
+        };
+        for entity in HISTORIES {
+            let path = format!("{}/ViewContents/overrides/{entity}/visualizers", view.path);
+            self.stream.log(path, &VisibleTimeRanges::new([range("sim_time"), range("scan")]))?;
+        }
+        Ok(())
+    }
+
+    /// A container; `shares` of its space for each child, or none for tabs.
+    fn container(
+        &mut self,
+        kind: parts::ContainerKind,
+        children: &[Part],
+        shares: &[f32],
+    ) -> rerun::RecordingStreamResult<Part> {
+        let part = self.part("container");
+        let contents = children.iter().map(|child| parts::IncludedContent(child.path.as_str().into()));
+        let mut container = ContainerBlueprint::new(kind).with_contents(contents);
+        match kind {
+            parts::ContainerKind::Horizontal => {
+                container = container.with_col_shares(shares.iter().map(|s| parts::ColumnShare((*s).into())));
+            }
+            parts::ContainerKind::Vertical => {
+                container = container.with_row_shares(shares.iter().map(|s| parts::RowShare((*s).into())));
+            }
+            parts::ContainerKind::Tabs | parts::ContainerKind::Grid => {
+                if let Some(first) = children.first() {
+                    container = container.with_active_tab(parts::ActiveTab(first.path.as_str().into()));
+                }
+            }
+        }
+        self.stream.log(part.path.as_str(), &container)?;
+        Ok(part)
+    }
+}
+
+/// A UUID (version 4 layout) that is the same in every run.
+fn uuid_bytes(number: u8) -> [u8; 16] {
+    let mut bytes = *b"metromAp\x80layout\0";
+    bytes[15] = number;
+    bytes
+}

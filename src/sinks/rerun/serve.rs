@@ -1,0 +1,271 @@
+//! The embedded web viewer on 127.0.0.1: beside a run that goes on, or over a file.
+
+use std::any::Any;
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use rerun::ServerOptions;
+use rerun::external::re_log_encoding::rrd::{Decodable, DecoderTransport, RRD_FOURCC, StreamFooter};
+use rerun::grpc_server::GrpcServerSink;
+use rerun::web_viewer::WebViewerConfig;
+
+use crate::fault::{Fault, Result};
+
+/// The first and the last bytes of an MCAP file.
+const MCAP_MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+
+/// The head of a request is short; more than this is none [bytes].
+const HEAD_BYTES_MAX: usize = 16 << 10;
+
+/// How long a browser may take to say what it wants, or to take a piece of the file.
+const BROWSER_S_MAX: u64 = 30;
+
+/// The page of the web viewer; served until it is dropped.
+struct Page {
+    url: String,
+    /// The server: its type has no name outside of Rerun.
+    _server: Box<dyn Any + Send>,
+}
+
+impl Page {
+    /// Serves the page at a port (0: a free one), so that it shows `source`.
+    fn start(port: u16, source: &str, open_browser: bool) -> Result<Self> {
+        drop(listen(port)?); // Rerun would name the port only within a sentence
+        let config = WebViewerConfig {
+            bind_ip: Ipv4Addr::LOCALHOST.to_string(),
+            web_port: port.into(),
+            connect_to: vec![source.to_string()],
+            open_browser,
+            ..WebViewerConfig::default()
+        };
+        let server = config.host_web_viewer().map_err(|e| Fault::new("web viewer", e, "a page that can be served"))?;
+        let source = source.replace(':', "%3A").replace('/', "%2F").replace('+', "%2B");
+        Ok(Self { url: format!("{}/?url={source}", server.server_url()), _server: Box::new(server) })
+    }
+
+    /// What the browser calls the page's origin, by number and by name.
+    fn origins(&self) -> [String; 2] {
+        let origin = self.url.split("/?").next().unwrap_or_default().to_string();
+        [origin.replace("127.0.0.1", "localhost"), origin]
+    }
+}
+
+/// A listener on 127.0.0.1; port 0 takes a free one.
+fn listen(port: u16) -> Result<TcpListener> {
+    TcpListener::bind((Ipv4Addr::LOCALHOST, port))
+        .map_err(|e| Fault::new("port", format!("{port} on 127.0.0.1 ({e})"), "a port that is free, or 0 for any"))
+}
+
+/// The web viewer beside a run that goes on.
+pub(super) struct Web {
+    page: Page,
+}
+
+impl Web {
+    /// Starts the page, and the server that keeps the run's data for it.
+    pub(super) fn start(port: u16) -> Result<(Self, GrpcServerSink)> {
+        let free = listen(0)?.local_addr().map_err(|e| Fault::new("port", e, "a port that is free"))?;
+        let sink = GrpcServerSink::new(&free.ip().to_string(), free.port(), ServerOptions::default());
+        let sink = sink.map_err(|e| Fault::new("port", e, "127.0.0.1"))?;
+        wait_for(free)?;
+        Ok((Self { page: Page::start(port, &sink.uri().to_string(), false)? }, sink))
+    }
+
+    /// Where to point a browser.
+    pub(super) fn url(&self) -> &str {
+        &self.page.url
+    }
+}
+
+/// Rerun's server starts on a thread of its own and reports no failure.
+fn wait_for(address: SocketAddr) -> Result<()> {
+    for _ in 0..100 {
+        if TcpStream::connect_timeout(&address, Duration::from_secs(1)).is_ok() {
+            return Ok(());
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Err(Fault::new("port", format!("{address}, where nothing answers"), "a server of Rerun"))
+}
+
+/// A recording in the embedded web viewer, served until it is dropped.
+pub struct FileServer {
+    page: Page,
+    address: SocketAddr,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What a connection needs to know.
+struct Serving {
+    file: PathBuf,
+    path: String,
+    hosts: [String; 2],
+    origins: [String; 2],
+}
+
+impl FileServer {
+    /// Checks the file (see [`check_file`]) and serves it with the viewer's page at this port of 127.0.0.1 (0: a free one).
+    ///
+    /// Errors: those of the check, or a port that is taken.
+    pub fn start(file: &Path, port: u16, open_browser: bool) -> Result<Self> {
+        check_file(file)?;
+        let listener = listen(0)?;
+        let address = listener.local_addr().map_err(|e| Fault::new("port", e, "a port that is free"))?;
+        let path = format!("/{}", name_in_url(file));
+        let page = Page::start(port, &format!("http://{address}{path}"), open_browser)?;
+        let hosts = [address.to_string(), format!("localhost:{}", address.port())];
+        let serving = Arc::new(Serving { file: file.to_path_buf(), path, hosts, origins: page.origins() });
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let thread = std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                if stopped.load(Ordering::Acquire) {
+                    return;
+                }
+                let (Ok(stream), serving) = (stream, serving.clone()) else { continue };
+                // A browser that goes away in the middle is no fault.
+                std::thread::spawn(move || serving.answer(stream).ok());
+            }
+        });
+        Ok(Self { page, address, stop, thread: Some(thread) })
+    }
+
+    /// Where to point a browser.
+    pub fn url(&self) -> &str {
+        &self.page.url
+    }
+}
+
+impl Drop for FileServer {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        let woken = TcpStream::connect_timeout(&self.address, Duration::from_secs(1)).is_ok();
+        if let Some(thread) = self.thread.take().filter(|_| woken) {
+            thread.join().ok();
+        }
+    }
+}
+
+/// The file's name where it is plain enough for a URL: the viewer shows it.
+fn name_in_url(file: &Path) -> String {
+    let plain = |name: &&str| name.chars().all(|c| c.is_ascii_alphanumeric() || "._-".contains(c));
+    let kind = file.extension().and_then(|kind| kind.to_str()).unwrap_or_default();
+    let name = file.file_name().and_then(|name| name.to_str()).filter(plain);
+    name.map_or_else(|| format!("recording.{kind}"), str::to_string)
+}
+
+impl Serving {
+    /// Answers one request of HTTP/1.1 and closes. Only the page itself may have the file.
+    fn answer(&self, mut stream: TcpStream) -> io::Result<()> {
+        let patience = Some(Duration::from_secs(BROWSER_S_MAX));
+        stream.set_read_timeout(patience)?;
+        stream.set_write_timeout(patience)?;
+        let Some(head) = read_head(&mut stream)? else { return reply(&mut stream, "400 Bad Request", "") };
+        let header = |name: &str| {
+            let lines = head.lines().skip(1).filter_map(|line| line.split_once(':'));
+            lines.filter(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, value)| value.trim()).next()
+        };
+        let known = |value: Option<&str>, those: &[String; 2]| value.is_some_and(|v| those.iter().any(|one| one == v));
+        // Another site may have its name lead to 127.0.0.1, or ask from its own page: neither gets the file.
+        if !known(header("host"), &self.hosts) || header("origin").is_some_and(|o| !known(Some(o), &self.origins)) {
+            return reply(&mut stream, "403 Forbidden", "");
+        }
+        let mut allow = header("origin").map_or(String::new(), |o| format!("Access-Control-Allow-Origin: {o}\r\n"));
+        let mut words = head.lines().next().unwrap_or_default().split(' ');
+        match (words.next(), words.next()) {
+            (Some("OPTIONS"), _) => {
+                allow += "Access-Control-Allow-Methods: GET, HEAD\r\nAccess-Control-Allow-Headers: *\r\n";
+                allow += "Access-Control-Allow-Private-Network: true\r\n";
+                reply(&mut stream, "204 No Content", &allow)
+            }
+            (Some(method @ ("GET" | "HEAD")), Some(path)) if path == self.path => {
+                let file = File::open(&self.file)?;
+                let bytes = file.metadata()?.len();
+                let head = format!("Content-Type: application/octet-stream\r\nContent-Length: {bytes}\r\n{allow}");
+                start_reply(&mut stream, "200 OK", &head)?;
+                if method == "GET" {
+                    io::copy(&mut file.take(bytes), &mut stream)?;
+                }
+                stream.flush()
+            }
+            _ => reply(&mut stream, "404 Not Found", &allow),
+        }
+    }
+}
+
+/// Reads up to the empty line; `None` if there is none within bounds.
+fn read_head(stream: &mut TcpStream) -> io::Result<Option<String>> {
+    let mut head = vec![];
+    let mut piece = [0; 1024];
+    while head.len() < HEAD_BYTES_MAX {
+        let count = stream.read(&mut piece)?;
+        head.extend_from_slice(&piece[..count]);
+        if let Some(end) = head.windows(4).position(|bytes| bytes == b"\r\n\r\n") {
+            head.truncate(end);
+            return Ok(String::from_utf8(head).ok());
+        }
+        if count == 0 {
+            break;
+        }
+    }
+    Ok(None)
+}
+
+fn start_reply(stream: &mut TcpStream, status: &str, headers: &str) -> io::Result<()> {
+    let cache = "Cache-Control: no-store\r\nConnection: close\r\n";
+    stream.write_all(format!("HTTP/1.1 {status}\r\n{cache}{headers}\r\n").as_bytes())
+}
+
+fn reply(stream: &mut TcpStream, status: &str, headers: &str) -> io::Result<()> {
+    start_reply(stream, status, &format!("Content-Length: 0\r\n{headers}"))
+}
+
+/// Refuses what the viewer cannot show: a file that is missing, empty, no `.rrd` or `.mcap`, damaged or cut off.
+pub fn check_file(file: &Path) -> Result<()> {
+    let fault = |found: String, expected: &str| Fault::new("recording", found, expected).in_file(file);
+    let io = |e: io::Error| Fault::io(file, &e);
+    if file.is_dir() {
+        return Err(fault("a directory".into(), "an .rrd or .mcap file"));
+    }
+    let mut opened = File::open(file).map_err(io)?;
+    let bytes = opened.metadata().map_err(io)?.len();
+    if bytes == 0 {
+        return Err(fault("an empty file".into(), "an .rrd or .mcap file"));
+    }
+    let kind = file.extension().and_then(|kind| kind.to_str()).unwrap_or_default();
+    let (magic, tail) = ends(&mut opened, bytes).map_err(io)?;
+    let (begins, complete) = match kind {
+        "rrd" => (magic.starts_with(&RRD_FOURCC), StreamFooter::from_rrd_bytes(&tail).is_ok()),
+        "mcap" => (magic == MCAP_MAGIC, tail.ends_with(MCAP_MAGIC) && bytes > 16),
+        _ => return Err(fault(format!("a file named .{kind}"), "an .rrd or .mcap file")),
+    };
+    if !begins {
+        return Err(fault("a file that does not begin as one".into(), &format!("an .{kind} file")));
+    }
+    if !complete {
+        return Err(fault("a file without its end: cut off?".into(), &format!("a whole .{kind} file")));
+    }
+    if kind == "rrd" {
+        opened.rewind().map_err(io)?;
+        for message in DecoderTransport::decode_lazy(BufReader::new(opened)) {
+            message.map_err(|e| fault(format!("damage ({e})"), "a whole .rrd file"))?;
+        }
+    }
+    Ok(())
+}
+
+/// The first 8 bytes, and the last as many as the footer of an `.rrd` has; fewer where the file has no more.
+fn ends(file: &mut File, bytes: u64) -> io::Result<(Vec<u8>, Vec<u8>)> {
+    let (mut first, mut last) = (vec![], vec![]);
+    Read::by_ref(file).take(8).read_to_end(&mut first)?;
+    file.seek(SeekFrom::Start(bytes.saturating_sub(StreamFooter::ENCODED_SIZE_BYTES as u64)))?;
+    file.take(StreamFooter::ENCODED_SIZE_BYTES as u64).read_to_end(&mut last)?;
+    Ok((first, last))
+}

@@ -1,0 +1,13 @@
+//! Where captures come from: simulation, recordings, folders of images.
+
+mod image_poses;
+pub mod images;
+pub mod replay;
+pub mod rig_file;
+mod scenario;
+mod simulation;
+mod truth;
+
+pub use scenario::{Scenario, read_text};
+pub use simulation::{Shot, ShotTruth, Simulation};
+pub use truth::{Found, Judge, Verdict};

@@ -1,0 +1,386 @@
+//! `rig.toml`: a finder, real or simulated, as a file; and the camera of a ROS `camera_info` YAML.
+//!
+//! ```toml
+//! version = 1
+//! name = "robot floor"
+//! range_m_max = 4.5             # points farther from the robot's origin are not used
+//! beam_sigma_rad = 0.0          # standard deviations of the two angles
+//! cylinder_sigma_rad = 0.0
+//!
+//! [camera]                      # or: camera_info = "camera.yaml", beside this file
+//! width = 640
+//! height = 480
+//! fx = 514.4
+//! fy = 685.9
+//! cx = 329.8
+//! cy = 237.7
+//! distortion = { model = "pinhole" }   # tsai: k; brown_conrady: k1 k2 p1 p2 k3
+//!
+//! [mount]                       # the camera on the cylinder: x forward, y left, z up
+//! position_m = [0.0, 0.0, 0.2]
+//! tilt_deg = 21.1               # down; also pan (to the left) and roll, each _deg or _rad
+//! # rotation = [x, y, z, w]     # instead: the optical camera's quaternion, taken as it is
+//!
+//! [laser]                       # kind = "mirror": mirror_m, beam = {zero_rad, rad_per_pulse, pulse_min, pulse_max}, roll_rad
+//! kind = "plane"                # n·x = d in the camera's optical frame
+//! normal = [0.045, -0.937, 0.346]
+//! offset_m = 0.166
+//! ```
+//!
+//! May be left out: `[sheet]`, `[cylinder]` (an axis), `[finder]` (position_m, rotation on the robot), `[images]`, `[line]`.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::images::ImagesSpec;
+use crate::fault::{Fault, Result, number_within};
+use crate::geometry::Transform;
+use crate::line::LineParams;
+use crate::optics::{Axis, Camera, Distortion, Laser, Rig, Sheet};
+
+/// The version of the format that is written, and the newest one that is read.
+const VERSION: i64 = 1;
+/// Largest file that is read [bytes].
+const FILE_BYTES_MAX: u64 = 1 << 20;
+
+/// All that a rig file says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigFile {
+    /// Where it was read from: other paths in it are relative to this.
+    pub path: PathBuf,
+    /// The finder.
+    pub rig: Rig,
+    /// Images taken with it.
+    pub images: Option<ImagesSpec>,
+    /// How its line is found.
+    pub line: LineParams,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    version: i64,
+    name: String,
+    range_m_max: f64,
+    #[serde(default)]
+    beam_sigma_rad: f64,
+    #[serde(default)]
+    cylinder_sigma_rad: f64,
+    camera: CameraTable,
+    mount: Mount,
+    laser: Laser,
+    #[serde(default)]
+    sheet: Sheet,
+    #[serde(default = "still")]
+    cylinder: Axis,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    finder: Option<Mount>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    images: Option<ImagesSpec>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    line: Option<LineParams>,
+}
+
+fn still() -> Axis {
+    Axis::FIXED
+}
+
+/// Either a file or all the numbers.
+#[derive(Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct CameraTable {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    camera_info: Option<PathBuf>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    width: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    height: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fx: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fy: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cx: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cy: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distortion: Option<Distortion>,
+}
+
+/// A position with either a quaternion or angles.
+#[derive(Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Mount {
+    position_m: [f64; 3],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    rotation: Option<[f64; 4]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tilt_deg: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tilt_rad: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pan_deg: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pan_rad: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    roll_deg: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    roll_rad: Option<f64>,
+}
+
+/// Reads a rig file.
+///
+/// Errors name the file and, where it is known, the line: unknown keys, a newer version, numbers that make no finder.
+pub fn load(path: &Path) -> Result<RigFile> {
+    parse(&read(path)?, path)
+}
+
+/// The same from text; `path` is what errors name, and what other files are looked up beside.
+pub fn parse(text: &str, path: &Path) -> Result<RigFile> {
+    let document = document(text).map_err(|fault| fault.in_file(path))?;
+    assembled(document, path).map_err(|fault| {
+        let line = if fault.file.is_none() { line_of(text, &fault.what) } else { None };
+        let fault = fault.in_file(path);
+        match line {
+            Some(line) => fault.at_line(line),
+            None => fault,
+        }
+    })
+}
+
+/// The finder as text that `parse` reads back bit for bit.
+pub fn to_toml(rig: &Rig) -> String {
+    let camera = &rig.camera;
+    let stored = |xyz: Vector3<f64>, q: [f64; 4]| Mount {
+        position_m: [xyz.x, xyz.y, xyz.z],
+        rotation: Some(q),
+        ..Mount::default()
+    };
+    let document = Document {
+        version: VERSION,
+        name: rig.name.clone(),
+        range_m_max: rig.range_m_max,
+        beam_sigma_rad: rig.beam_sigma_rad,
+        cylinder_sigma_rad: rig.cylinder_sigma_rad,
+        camera: CameraTable {
+            camera_info: None,
+            width: Some(camera.width),
+            height: Some(camera.height),
+            fx: Some(camera.fx),
+            fy: Some(camera.fy),
+            cx: Some(camera.cx),
+            cy: Some(camera.cy),
+            distortion: Some(camera.distortion),
+        },
+        mount: stored(rig.sensor_from_camera.xyz(), rig.sensor_from_camera.quaternion()),
+        laser: rig.laser,
+        sheet: rig.sheet,
+        cylinder: rig.cylinder,
+        finder: Some(stored(rig.robot_from_finder.xyz(), rig.robot_from_finder.quaternion())),
+        images: None,
+        line: None,
+    };
+    // Strings, numbers and tables of them: there is nothing in a rig that TOML cannot hold.
+    toml::to_string(&document).unwrap_or_default()
+}
+
+fn read(path: &Path) -> Result<String> {
+    let file = std::fs::metadata(path).map_err(|e| Fault::io(path, &e))?;
+    if file.len() > FILE_BYTES_MAX {
+        return Err(Fault::new("file size", file.len(), format!("at most {FILE_BYTES_MAX} bytes")).in_file(path));
+    }
+    std::fs::read_to_string(path).map_err(|e| Fault::io(path, &e))
+}
+
+fn document(text: &str) -> Result<Document> {
+    let wrong = |error: toml::de::Error| {
+        let fault = Fault::new("rig file", error.message(), "a rig of version 1");
+        match error.span() {
+            Some(span) => fault.at_line(text[..span.start.min(text.len())].matches('\n').count() + 1),
+            None => fault,
+        }
+    };
+    // The version is looked at first: a newer file has keys that this one does not know.
+    let table: toml::Table = toml::from_str(text).map_err(wrong)?;
+    if let Some(version) = table.get("version").and_then(toml::Value::as_integer).filter(|v| *v != VERSION) {
+        let expected = if version > VERSION { "1: a newer metromap wrote this file" } else { "1" };
+        let fault = Fault::new("version", version, expected);
+        return Err(match line_of(text, "version") {
+            Some(line) => fault.at_line(line),
+            None => fault,
+        });
+    }
+    toml::from_str(text).map_err(wrong)
+}
+
+fn assembled(document: Document, path: &Path) -> Result<RigFile> {
+    let laser = document.laser;
+    if let Laser::Plane(plane) = laser {
+        for value in plane.normal.into_iter().chain([plane.offset_m]).chain(plane.origin_m.unwrap_or_default()) {
+            number_within("laser", value, -1e6, 1e6)?;
+        }
+    }
+    let robot_from_finder = match document.finder {
+        Some(finder) => finder.pose("finder", Rotation3::identity())?,
+        None => Transform::identity(),
+    };
+    let rig = Rig {
+        name: document.name,
+        camera: document.camera.camera(path)?,
+        sensor_from_camera: document.mount.pose("mount", optical())?,
+        laser,
+        sheet: document.sheet,
+        cylinder: document.cylinder,
+        robot_from_finder,
+        beam_sigma_rad: document.beam_sigma_rad,
+        cylinder_sigma_rad: document.cylinder_sigma_rad,
+        range_m_max: document.range_m_max,
+    };
+    let images = document.images.map(ImagesSpec::validated).transpose()?;
+    let line = document.line.unwrap_or_default().validated()?;
+    Ok(RigFile { path: path.to_path_buf(), rig: rig.validated()?, images, line })
+}
+
+impl CameraTable {
+    fn camera(self, rig_path: &Path) -> Result<Camera> {
+        let numbers = [self.fx, self.fy, self.cx, self.cy];
+        if let Some(info) = self.camera_info {
+            if self.width.or(self.height).is_some() || numbers.iter().any(Option::is_some) || self.distortion.is_some() {
+                let expected = "either camera_info or the camera's own numbers";
+                return Err(Fault::new("camera.camera_info", "both", expected));
+            }
+            return camera_info(&rig_path.parent().unwrap_or(Path::new("")).join(info));
+        }
+        let missing = |name: &str| Fault::new(format!("camera.{name}"), "nothing", "a number, or camera.camera_info");
+        Ok(Camera {
+            width: self.width.ok_or_else(|| missing("width"))?,
+            height: self.height.ok_or_else(|| missing("height"))?,
+            fx: self.fx.ok_or_else(|| missing("fx"))?,
+            fy: self.fy.ok_or_else(|| missing("fy"))?,
+            cx: self.cx.ok_or_else(|| missing("cx"))?,
+            cy: self.cy.ok_or_else(|| missing("cy"))?,
+            distortion: self.distortion.unwrap_or(Distortion::Pinhole),
+        })
+    }
+}
+
+impl Mount {
+    /// The pose; `unturned` is the rotation at tilt, pan and roll 0.
+    fn pose<To, From>(&self, what: &str, unturned: Rotation3<f64>) -> Result<Transform<To, From>> {
+        for value in self.position_m {
+            number_within(&format!("{what}.position_m"), value, -1e4, 1e4)?;
+        }
+        let one = |name: &str, deg: Option<f64>, rad: Option<f64>| -> Result<Option<f64>> {
+            let angle = match (deg, rad) {
+                (Some(_), Some(_)) => {
+                    return Err(Fault::new(format!("{what}.{name}_deg"), "both _deg and _rad", "one of them"));
+                }
+                (Some(deg), None) => deg.to_radians(),
+                (None, Some(rad)) => rad,
+                (None, None) => return Ok(None),
+            };
+            number_within(&format!("{what}.{name}"), angle, -7.0, 7.0).map(Some)
+        };
+        let tilt = one("tilt", self.tilt_deg, self.tilt_rad)?;
+        let pan = one("pan", self.pan_deg, self.pan_rad)?;
+        let roll = one("roll", self.roll_deg, self.roll_rad)?;
+        if let Some(q) = self.rotation {
+            let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+            if !((length - 1.0).abs() < 1e-6) {
+                return Err(Fault::new(format!("{what}.rotation"), format!("length {length}"), "a unit quaternion [x, y, z, w]"));
+            }
+            if tilt.or(pan).or(roll).is_some() {
+                return Err(Fault::new(format!("{what}.rotation"), "angles too", "either a quaternion or angles"));
+            }
+            return Ok(Transform::from_stored(self.position_m, q));
+        }
+        // About the fixed x, y, z axes in this order: roll, tilt (nose down), pan (to the left).
+        let turn = Rotation3::from_euler_angles(roll.unwrap_or(0.0), tilt.unwrap_or(0.0), pan.unwrap_or(0.0));
+        let q = UnitQuaternion::from_rotation_matrix(&(turn * unturned));
+        Ok(Transform::from_stored(self.position_m, [q.i, q.j, q.k, q.w]))
+    }
+}
+
+/// A camera that looks along x: its x (right) is −y, its y (down) is −z, its z (view) is x.
+fn optical() -> Rotation3<f64> {
+    Rotation3::from_matrix_unchecked(nalgebra::Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0))
+}
+
+/// The line (from 1) on which a field such as `camera.fx` stands, or else its table.
+fn line_of(text: &str, field: &str) -> Option<usize> {
+    let (table, key) = field.split_once('.').unwrap_or(("", field));
+    let key = key.split('.').next().unwrap_or(key);
+    let (mut at_table, mut current) = (None, String::new());
+    for (i, line) in text.lines().map(str::trim).enumerate() {
+        if let Some(name) = line.strip_prefix('[').and_then(|l| l.split(']').next()) {
+            current = name.trim().to_string();
+            if at_table.is_none() && (current == table || current == field) {
+                at_table = Some(i + 1);
+            }
+        } else if current == table && line.split('=').next().is_some_and(|word| word.trim() == key) {
+            return Some(i + 1);
+        }
+    }
+    at_table
+}
+
+/// The parts of a ROS camera calibration file that matter here.
+#[derive(Deserialize)]
+struct CameraInfo {
+    image_width: usize,
+    image_height: usize,
+    camera_matrix: Matrix,
+    distortion_model: String,
+    distortion_coefficients: Matrix,
+}
+
+#[derive(Deserialize)]
+struct Matrix {
+    rows: usize,
+    cols: usize,
+    data: Vec<f64>,
+}
+
+/// Reads a ROS `camera_info` YAML: its camera matrix and `plumb_bob` distortion, for images as they are (not rectified).
+pub fn camera_info(path: &Path) -> Result<Camera> {
+    let text = read(path)?;
+    let info: CameraInfo = serde_saphyr::from_str(&text).map_err(|error| {
+        let fault = Fault::new("camera info", first_line(&error.to_string()), "a ROS camera calibration").in_file(path);
+        match error.location() {
+            Some(location) => fault.at_line(location.line() as usize),
+            None => fault,
+        }
+    })?;
+    camera_of(&info).and_then(Camera::validated).map_err(|fault| fault.in_file(path))
+}
+
+fn first_line(text: &str) -> &str {
+    text.lines().next().unwrap_or_default()
+}
+
+fn camera_of(info: &CameraInfo) -> Result<Camera> {
+    let matrix = &info.camera_matrix;
+    let (shape, data) = ((matrix.rows, matrix.cols), matrix.data.as_slice());
+    let &[fx, skew, cx, zero, fy, cy, a, b, one] = data else {
+        return Err(Fault::new("camera_matrix", format!("{} numbers", data.len()), "9"));
+    };
+    if shape != (3, 3) || [skew, zero, a, b] != [0.0; 4] || one != 1.0 {
+        return Err(Fault::new("camera_matrix", format!("{data:?}"), "3 x 3: fx 0 cx 0 fy cy 0 0 1"));
+    }
+    let coefficients = &info.distortion_coefficients;
+    if coefficients.rows.checked_mul(coefficients.cols) != Some(coefficients.data.len()) {
+        let expected = format!("{} x {}", coefficients.rows, coefficients.cols);
+        return Err(Fault::new("distortion_coefficients", format!("{} numbers", coefficients.data.len()), expected));
+    }
+    let distortion = match (info.distortion_model.as_str(), coefficients.data.as_slice()) {
+        ("plumb_bob", &[k1, k2, p1, p2]) => Distortion::BrownConrady { k1, k2, p1, p2, k3: 0.0 },
+        ("plumb_bob", &[k1, k2, p1, p2, k3]) => Distortion::BrownConrady { k1, k2, p1, p2, k3 },
+        ("plumb_bob", other) => {
+            return Err(Fault::new("distortion_coefficients", format!("{} numbers", other.len()), "4 or 5 for plumb_bob"));
+        }
+        (other, _) => return Err(Fault::new("distortion_model", other, "plumb_bob")),
+    };
+    Ok(Camera { width: info.image_width, height: info.image_height, fx, fy, cx, cy, distortion })
+}
