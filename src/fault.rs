@@ -77,7 +77,7 @@ pub fn number_within(what: &str, value: f64, low: f64, high: f64) -> Result<f64>
         (false, true) => format!("a number of at most {high}"),
         (false, false) => "a finite number".to_string(),
     };
-    Err(Fault::new(what, value, expected))
+    Err(Fault::new(what, shown(value), expected))
 }
 
 /// Checks that a number is finite and greater than zero.
@@ -85,5 +85,10 @@ pub fn positive(what: &str, value: f64) -> Result<f64> {
     if value.is_finite() && value > 0.0 {
         return Ok(value);
     }
-    Err(Fault::new(what, value, "a number greater than 0"))
+    Err(Fault::new(what, shown(value), "a number greater than 0"))
+}
+
+/// A number as people write it: not three hundred digits of 1e300.
+fn shown(value: f64) -> String {
+    if value.abs() >= 1e15 { format!("{value:e}") } else { value.to_string() }
 }

@@ -183,7 +183,7 @@ mod tests {
         let mut pipeline = pipeline();
         let step = pipeline.step(&capture(0, 1)).unwrap();
         assert_eq!(step.placed.points.len(), 512);
-        assert!(pipeline.maps().summary().occupied > 0);
+        assert!(pipeline.maps().summary().occupancy.occupied > 0);
     }
 
     #[test]

@@ -622,28 +622,3 @@ fn the_bags_of_ros_2_are_read_with_all_their_messages() {
         assert!(fault.contains("/finder/capture"), "{fault}");
     }
 }
-
-/// Not a limit but a figure: `cargo test --release recording_speed -- --ignored --nocapture`.
-#[test]
-#[ignore = "measures"]
-fn recording_speed() {
-    let dir = tempfile::tempdir().unwrap();
-    let frames: Vec<Frame> = (0..200).map(frame).collect();
-    for images in [Images::None, Images::Keyframes, Images::All] {
-        let path = dir.path().join("speed.mcap");
-        let began = std::time::Instant::now();
-        record(&path, images, frames.iter().cloned());
-        let each = began.elapsed().as_secs_f64() * 1e3 / frames.len() as f64;
-        let bytes = std::fs::metadata(&path).unwrap().len() / frames.len() as u64;
-        eprintln!("{images:?}: {each:.3} ms and {bytes} bytes a capture");
-    }
-    let bytes = recorded(200, Images::All);
-    for from_images in [false, true] {
-        let began = std::time::Instant::now();
-        let count = Replay::new(Cursor::new(&bytes[..]), from_images).unwrap().count();
-        eprintln!(
-            "replay, images {from_images}: {:.3} ms a capture",
-            began.elapsed().as_secs_f64() * 1e3 / count as f64
-        );
-    }
-}

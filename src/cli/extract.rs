@@ -159,7 +159,10 @@ fn summary(path: &Path, line: &Line) -> String {
     let (rows, sigmas, levels) = (sorted(|p| p.v), sorted(|p| p.sigma), sorted(|p| p.level));
     if let (Some(first), Some(last)) = (rows.first(), rows.last()) {
         let middle = rows.len() / 2;
-        text += &format!(", rows {first:.1} to {last:.1}, sigma {:.2} px, peak {:.0} levels", sigmas[middle], levels[middle]);
+        text += &format!(
+            ", rows {first:.1} to {last:.1}, sigma {:.2} px, peak {:.0} levels",
+            sigmas[middle], levels[middle]
+        );
     }
     for (why, count) in &line.dropped.0 {
         text += &format!(", {count} {why}");
@@ -202,5 +205,44 @@ impl Progress {
         if let Some(bar) = self.bar {
             bar.finish_and_clear();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::Peak;
+
+    fn line() -> Line {
+        let peak = |v| Some(Peak { v, sigma: 0.25, level: 40.0 });
+        let mut dropped = Dropped::default();
+        dropped.add(Drop::Dark);
+        Line { height: 480, columns: vec![peak(100.5), None, peak(103.0)], dropped }
+    }
+
+    #[test]
+    fn the_json_of_a_line_has_the_fixed_names() {
+        let json = serde_json::to_string(&Found::new(Path::new("a/b.png"), &line())).unwrap();
+        let expected = r#"{"image":"a/b.png","width":3,"height":480,"columns":[[100.5,0.25,40.0],null,[103.0,0.25,40.0]],"dropped":{"dark":1}}"#;
+        assert_eq!(json, expected);
+    }
+
+    #[test]
+    fn the_table_says_what_is_there_and_what_is_not() {
+        let text = summary(Path::new("b.png"), &line());
+        assert_eq!(text, "b.png: 2 of 3 columns, rows 100.5 to 103.0, sigma 0.25 px, peak 40 levels, 1 dark");
+        let empty = Line { height: 1, columns: vec![None], dropped: Dropped::default() };
+        assert_eq!(summary(Path::new("b.png"), &empty), "b.png: 0 of 1 columns");
+    }
+
+    #[test]
+    fn a_bad_image_is_counted_and_the_rest_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let (good, bad) = (folder.path().join("good.png"), folder.path().join("bad.png"));
+        ::image::GrayImage::new(16, 16).save(&good).unwrap();
+        std::fs::write(&bad, "").unwrap();
+        let options = |images: Vec<PathBuf>| Options { images, json: false, channel: None, rig: None };
+        assert_eq!(run(options(vec![good.clone()])).unwrap(), Exit::Done);
+        assert_eq!(run(options(vec![bad, good.clone(), folder.path().join("none.png"), good])).unwrap(), Exit::Lossy);
     }
 }

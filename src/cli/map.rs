@@ -58,6 +58,8 @@ struct Input {
 trait Captures {
     fn next(&mut self) -> Result<Option<Capture>>;
     fn dropped(&self) -> Dropped;
+    /// What people should know of that.
+    fn complaints(&self) -> Vec<String>;
 }
 
 /// Runs the command.
@@ -76,6 +78,9 @@ pub fn run(options: Options) -> Result<Exit> {
     session.dropped.merge(&input.captures.dropped());
     let failed = session.finish();
     result?;
+    for complaint in input.captures.complaints() {
+        eprintln!("metromap: {complaint}");
+    }
     if session.captures == 0 && !stop_requested() {
         let found = format!("none that could be read; dropped: {:?}", session.dropped.0);
         return Err(Fault::new("captures", found, "at least one").in_file(&options.input));
@@ -161,6 +166,12 @@ impl Captures for Replay {
     fn dropped(&self) -> Dropped {
         self.dropped().clone()
     }
+    fn complaints(&self) -> Vec<String> {
+        match self.without_image() {
+            0 => Vec::new(),
+            count => vec![format!("{count} captures were recorded without their image, and are not mapped")],
+        }
+    }
 }
 
 impl Captures for ImageFolder {
@@ -169,5 +180,8 @@ impl Captures for ImageFolder {
     }
     fn dropped(&self) -> Dropped {
         self.dropped().clone()
+    }
+    fn complaints(&self) -> Vec<String> {
+        self.faults().iter().map(ToString::to_string).collect()
     }
 }

@@ -113,7 +113,8 @@ impl Opened {
     /// Writes the maps; returns all files of the directory.
     pub fn export(&self, maps: &Maps) -> Result<Vec<String>> {
         let mut files: Vec<String> = self.files.iter().map(|f| f.display().to_string()).collect();
-        files.extend(export::export(&self.dir, maps)?);
+        let exported = export::export(&self.dir, maps)?;
+        files.extend(exported.iter().map(|name| self.dir.join(name).display().to_string()));
         Ok(files)
     }
 }

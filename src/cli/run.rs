@@ -11,6 +11,7 @@ use super::summary::Summary;
 use crate::fault::{Fault, Result};
 use crate::pipeline::Pipeline;
 use crate::robot::OdometryParams;
+use crate::sinks::Truth;
 use crate::sources::{Judge, Scenario, Shot, Simulation, rig_file};
 
 /// Simulate a robot with a finder in a world, and map it.
@@ -113,8 +114,9 @@ fn drive(session: &mut Session, simulation: &mut Simulation, judge: &mut Judge) 
         }
         session.progress(capture.stamp.0.unsigned_abs() / 1_000_000, simulation.doing());
         if let Some(step) = session.step(&capture) {
-            let rms = judge.step(&step, &truth.world_from_robot, &truth.sights);
-            session.show(&step, &capture.reading, Some(truth.for_sinks(rms)));
+            let point_rms_m = judge.step(&step, &truth.world_from_robot, &truth.sights);
+            let beside = Truth { world_from_robot: truth.world_from_robot, moved: truth.moved, point_rms_m };
+            session.show(&step, &capture.reading, Some(beside));
         }
     }
     session.dropped.merge(simulation.dropped());

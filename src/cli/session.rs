@@ -203,10 +203,13 @@ pub fn progress_bar(total: Option<u64>) -> ProgressBar {
     bar
 }
 
+/// What the thread gives back: the sinks, to be finished, and why any of them failed.
+type Written = (Vec<Box<dyn Sink>>, Vec<Fault>);
+
 /// The sinks on their own thread: they take time, and change no result.
 struct SinkThread {
     sender: Option<SyncSender<Box<Frame>>>,
-    thread: Option<JoinHandle<(Vec<Box<dyn Sink>>, Vec<Fault>)>>,
+    thread: Option<JoinHandle<Written>>,
 }
 
 impl SinkThread {

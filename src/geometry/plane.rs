@@ -57,7 +57,9 @@ impl<A, B> std::ops::Mul<Plane<B>> for Transform<A, B> {
     type Output = Plane<A>;
     fn mul(self, plane: Plane<B>) -> Plane<A> {
         let normal = self.rotate(&plane.normal);
-        Plane { normal, offset: plane.offset + normal.dot(&self.xyz()), frame: PhantomData }
+        // A point of the plane, moved with it.
+        let foot = self.iso * nalgebra::Point3::from(plane.normal * plane.offset);
+        Plane { normal, offset: normal.dot(&foot.coords), frame: PhantomData }
     }
 }
 

@@ -43,6 +43,8 @@ pub enum Drop {
     BadPose,
     /// A capture whose image or line has another size than the finder's camera.
     WrongSize,
+    /// A map had reached its largest size, so an update was refused.
+    MapFull,
     /// A file, message or record that could not be read.
     Unreadable,
 }
@@ -52,7 +54,7 @@ impl Drop {
     pub fn is_loss(self) -> bool {
         matches!(
             self,
-            Self::EncoderOutOfRange | Self::TimeWentBack | Self::SameTime | Self::BadPose | Self::WrongSize | Self::Unreadable
+            Self::EncoderOutOfRange | Self::TimeWentBack | Self::SameTime | Self::BadPose | Self::WrongSize | Self::MapFull | Self::Unreadable
         )
     }
 }
@@ -72,6 +74,7 @@ impl std::fmt::Display for Drop {
             Self::SameTime => "same_time",
             Self::BadPose => "bad_pose",
             Self::WrongSize => "wrong_size",
+            Self::MapFull => "map_full",
             Self::Unreadable => "unreadable",
         })
     }

@@ -77,7 +77,8 @@ impl Chooser {
         self.strengths.clear();
         for band in 0..ridge.bands {
             // Another column first in every band, so that no pattern of the image is in step with the sampling.
-            self.strengths.extend(ridge.band(band).iter().skip(band % STRIDE).step_by(STRIDE).map(|packed| packed >> 4));
+            self.strengths
+                .extend(ridge.band(band).iter().skip(band % STRIDE).step_by(STRIDE).map(|packed| packed >> 4));
         }
         if self.strengths.is_empty() {
             return 0.0;
@@ -180,4 +181,54 @@ impl Choice {
 fn median_of(values: &mut [i16]) -> i16 {
     let middle = values.len() / 2;
     *values.select_nth_unstable(middle).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::synthetic::{Look, Noise, render, sensor};
+    use super::*;
+
+    #[test]
+    fn the_noise_of_a_pixel_is_seen_to_15_percent_whatever_the_line() {
+        for read in [1.0, 3.0, 10.0] {
+            for peak in [0.0, 90.0] {
+                let look = Look { background: 60.0, read, ..sensor(0.8, peak) };
+                let image = render((512, 480), look, &mut Noise::new(12), |_| Some(200.0));
+                let mut ridge = Ridge::new(2);
+                ridge.scan(&image);
+                let seen = f64::from(Chooser::default().choose(&ridge, &LineParams::default()));
+                let truth = (read * read + 1.0 / 12.0 + look.shot * 60.0).sqrt();
+                assert!((seen / truth - 1.0).abs() < 0.15, "{read} {peak}: {seen} for {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_column_keeps_its_strongest_candidates_in_order() {
+        let mut choice = Choice::default();
+        for strength in [5, 9, 1, 7, 9, 3] {
+            choice.insert(Candidate { strength, band: choice.count as u16, row: 0.0 });
+        }
+        let kept: Vec<i16> = choice.candidates[..choice.count].iter().map(|c| c.strength).collect();
+        assert_eq!(kept, [9, 9, 7, 5]);
+        assert_eq!(choice.candidates[0].band, 1); // of equals, the first stays first
+    }
+
+    #[test]
+    fn the_distance_test_is_the_papers() {
+        let peaks = [Some(10.0), Some(12.0), Some(30.0), None, Some(31.0), Some(40.0), Some(43.0), None, Some(43.0)];
+        let columns: Vec<Option<Peak>> = peaks.iter().map(|v| v.map(|v| Peak { v, sigma: 0.1, level: 9.0 })).collect();
+        let mut chooser = Chooser { path: vec![Some(Chosen { band: 0, is_strong: true }); 9], ..Chooser::default() };
+        let mut isolated = |epsilon1_px, epsilon2_px, run_columns_min| {
+            let params = LineParams { epsilon1_px, epsilon2_px, run_columns_min, ..LineParams::default() };
+            chooser.find_isolated(&columns, &params);
+            chooser.isolated.clone()
+        };
+        assert_eq!(isolated(5.0, 5.0, 2), [2, 4, 8]);
+        assert_eq!(isolated(2.5, 2.5, 2), [2, 4, 5, 6, 8]);
+        // ε₁ looks back, ε₂ ahead: the first of a pair has only ε₂.
+        assert_eq!(isolated(2.5, 5.0, 2), [2, 4, 6, 8]);
+        assert_eq!(isolated(5.0, 2.5, 2), [2, 4, 5, 8]);
+        assert_eq!(isolated(5.0, 5.0, 3), [0, 1, 2, 4, 5, 6, 8]);
+    }
 }

@@ -149,3 +149,177 @@ impl Extractor {
 fn distance(a: Option<&Peak>, b: Option<&Peak>) -> f32 {
     a.zip(b).map_or(f32::INFINITY, |(a, b)| (a.v - b.v).abs())
 }
+
+#[cfg(test)]
+mod synthetic;
+
+#[cfg(test)]
+mod tests {
+    use super::synthetic::{Look, Noise, render, sensor};
+    use super::*;
+
+    fn extract(image: &Image) -> Line {
+        Extractor::new(LineParams::default()).unwrap().extract(image)
+    }
+
+    fn wavy(u: usize) -> f64 {
+        100.0 + 30.0 * (u as f64 / 40.0).sin()
+    }
+
+    #[test]
+    fn a_clean_stripe_is_found_in_every_column() {
+        let mut noise = Noise::new(1);
+        let line = extract(&render((320, 240), sensor(0.5, 60.0), &mut noise, |u| Some(wavy(u))));
+        assert_eq!((line.width(), line.height, line.count()), (320, 240, 320));
+        assert!(line.dropped.0.is_empty());
+        for (u, peak) in line.columns.iter().enumerate() {
+            let peak = peak.unwrap();
+            assert!((f64::from(peak.v) - wavy(u)).abs() < 0.06, "{u}: {peak:?}");
+            assert!(peak.level > 30.0 && peak.level < 70.0, "{peak:?}");
+        }
+    }
+
+    #[test]
+    fn a_stripe_of_two_to_three_levels_is_found() {
+        // The far floor of the simulated finder: f/4, X = 3 to 3.7 m (instrument.md 1).
+        for (background, least) in [(0.0, 0.99), (0.2, 0.99), (1.0, 0.99), (1.8, 0.99), (0.5, 0.90)] {
+            let look = Look { background, ..sensor(0.5, 2.7) };
+            let line = extract(&render((512, 480), look, &mut Noise::new(2), |u| Some(50.0 + 0.1 * u as f64)));
+            let right = line
+                .columns
+                .iter()
+                .enumerate()
+                .filter(|(u, peak)| peak.is_some_and(|p| (f64::from(p.v) - 50.0 - 0.1 * *u as f64).abs() < 0.6));
+            let (right, found) = (right.count(), line.count());
+            assert!(right as f64 >= least * 512.0, "background {background}: {right} right of {found}");
+            assert!(found - right <= 2, "background {background}: {} wrong", found - right);
+        }
+    }
+
+    #[test]
+    fn noise_alone_is_no_line() {
+        for (background, read) in [(0.0, 0.08), (0.5, 0.08), (0.3, 0.1), (1.0, 0.3), (5.0, 2.0), (60.0, 15.0)] {
+            let look = Look { background, read, ..sensor(0.5, 0.0) };
+            let mut noise = Noise::new(3);
+            let mut found = 0;
+            for _ in 0..8 {
+                let line = extract(&render((512, 480), look, &mut noise, |_| None));
+                let dropped: u64 = line.dropped.0.values().sum();
+                assert_eq!(dropped as usize + line.count(), 512);
+                assert!(line.dropped.0[&Drop::Dark] > 450, "{background} {read}: {:?}", line.dropped);
+                found += line.count();
+            }
+            assert!(found <= 3, "{background} {read}: {found} of 4096 columns"); // under 0.1 %
+        }
+    }
+
+    #[test]
+    fn dark_columns_are_dark_and_their_neighbours_are_found() {
+        let image =
+            render((256, 240), sensor(0.5, 80.0), &mut Noise::new(4), |u| (!(90..120).contains(&u)).then(|| wavy(u)));
+        let line = extract(&image);
+        assert_eq!(line.count(), 226);
+        assert_eq!(line.dropped.0[&Drop::Dark], 30);
+        assert!(line.columns[90..120].iter().all(Option::is_none));
+    }
+
+    #[test]
+    fn a_step_of_the_line_is_kept_on_both_sides() {
+        let v = |u: usize| if (60..90).contains(&u) { 70.0 } else { 130.3 };
+        let line = extract(&render((200, 240), sensor(0.5, 80.0), &mut Noise::new(5), |u| Some(v(u))));
+        for (u, peak) in line.columns.iter().enumerate() {
+            assert!((f64::from(peak.unwrap().v) - v(u)).abs() < 0.1, "{u}");
+        }
+    }
+
+    /// The image with `add` more light, as far as there are levels.
+    fn lit(image: &Image, add: impl Fn(usize, usize) -> f64) -> Image {
+        let levels = image.levels().iter().enumerate().map(|(i, level)| {
+            let (u, v) = (i % image.width(), i / image.width());
+            (f64::from(*level) + add(u, v)).round().clamp(0.0, 127.0) as u8
+        });
+        Image::new(image.width(), image.height(), image.white(), levels.collect()).unwrap()
+    }
+
+    #[test]
+    fn bright_walls_lamps_and_slopes_of_light_do_not_win() {
+        let image =
+            render((320, 240), Look { background: 8.0, ..sensor(0.6, 40.0) }, &mut Noise::new(6), |u| Some(wavy(u)));
+        let walls = |u: usize, v: usize| {
+            let wall = if v < 40 { 90.0 } else { 0.0 };
+            let lamp = if (200..215).contains(&u) && (180..200).contains(&v) { 110.0 } else { 0.0 };
+            wall + lamp + 0.1 * v as f64
+        };
+        let line = extract(&lit(&image, walls));
+        assert_eq!(line.count(), 320);
+        for (u, peak) in line.columns.iter().enumerate() {
+            assert!((f64::from(peak.unwrap().v) - wavy(u)).abs() < 0.2, "{u}");
+        }
+    }
+
+    #[test]
+    fn a_brighter_false_line_does_not_win_a_few_columns() {
+        let image = render((320, 240), sensor(0.6, 40.0), &mut Noise::new(7), |u| Some(wavy(u)));
+        let glints = |u: usize, v: usize| if v == 200 && (100..104).contains(&u) { 120.0 } else { 0.0 };
+        let line = extract(&lit(&image, glints));
+        assert!((f64::from(line.columns[102].unwrap().v) - wavy(102)).abs() < 0.2);
+    }
+
+    #[test]
+    fn lone_peaks_are_dropped_by_the_distance_test() {
+        let v = |u: usize| u.is_multiple_of(7).then_some(if u.is_multiple_of(2) { 60.0 } else { 180.0 });
+        let line = extract(&render((140, 240), sensor(0.5, 80.0), &mut Noise::new(8), v));
+        assert_eq!(line.count(), 0);
+        assert_eq!(line.dropped.0[&Drop::Isolated], 20);
+        assert_eq!(line.dropped.0[&Drop::Dark], 120);
+        // The paper's own test keeps pairs.
+        let pairs = |u: usize| (u % 9 < 2).then_some(100.0);
+        let image = render((90, 240), sensor(0.5, 80.0), &mut Noise::new(8), pairs);
+        let paper = LineParams { run_columns_min: 2, ..LineParams::default() };
+        assert_eq!(Extractor::new(paper).unwrap().extract(&image).count(), 20);
+        assert_eq!(extract(&image).count(), 0);
+    }
+
+    #[test]
+    fn an_extractor_used_again_gives_the_same_as_a_new_one() {
+        let images = [(320, 240), (64, 480), (320, 240)]
+            .map(|size| render(size, sensor(0.5, 60.0), &mut Noise::new(9), |u| Some(wavy(u))));
+        let mut extractor = Extractor::new(LineParams::default()).unwrap();
+        for image in &images {
+            assert_eq!(extractor.extract(image), extract(image));
+        }
+    }
+
+    #[test]
+    fn small_and_odd_images_are_no_trouble() {
+        for (width, height) in [(1, 1), (1, 1000), (1000, 1), (3, 5), (17, 16), (16, 17), (5, 63)] {
+            for level in [0, 255] {
+                let image = Image::new(width, height, 255, vec![level; width * height]).unwrap();
+                assert_eq!(extract(&image).count(), 0, "{width} x {height}");
+            }
+            let mut noise = Noise::new(10);
+            let levels = (0..width * height).map(|_| (noise.uniform() * 256.0) as u8).collect();
+            assert_eq!(extract(&Image::new(width, height, 255, levels).unwrap()).width(), width);
+        }
+    }
+
+    #[test]
+    fn parameters_that_make_no_sense_are_refused() {
+        let good = LineParams::default();
+        let bad = [
+            LineParams { background_px: 6, ..good },
+            LineParams { background_px: 0, ..good },
+            LineParams { ridge_min: f32::NAN, ..good },
+            LineParams { ridge_min_beside: 99.0, ..good },
+            LineParams { epsilon1_px: 0.0, ..good },
+            LineParams { epsilon2_px: f32::INFINITY, ..good },
+            LineParams { well_electrons: 0.0, ..good },
+            LineParams { run_columns_min: 0, ..good },
+        ];
+        for params in bad {
+            assert!(Extractor::new(params).is_err(), "{params:?}");
+        }
+        assert!(toml::from_str::<LineParams>("estimator = \"gauss3\"\nepsilon1_px = 3.0").is_ok());
+        assert!(toml::from_str::<LineParams>("epsilon = 3.0").is_err());
+    }
+}

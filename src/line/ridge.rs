@@ -152,7 +152,15 @@ mod tests {
 
     #[test]
     fn a_bright_wall_has_no_ridge_and_a_line_beside_it_has() {
-        let ridge = scanned(4, 160, |_, v| if v < 60 { 250 } else if v == 100 { 80 } else { 10 });
+        let ridge = scanned(4, 160, |_, v| {
+            if v < 60 {
+                250
+            } else if v == 100 {
+                80
+            } else {
+                10
+            }
+        });
         for band in 0..ridge.bands {
             let expected = if band == 100 / 16 { 140 } else { 0 };
             assert_eq!(ridge.band(band)[2] >> 4, expected, "{band}");

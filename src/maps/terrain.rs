@@ -407,18 +407,14 @@ mod tests {
     #[test]
     fn the_promised_error_is_kept_everywhere_and_not_overdone() {
         let samples = field(160, 150);
-        let start = std::time::Instant::now();
         let mut tin = Tin::new(samples.clone()).unwrap();
         tin.refine(0.02).unwrap();
-        let took_ms = start.elapsed().as_secs_f64() * 1e3;
         assert_eq!(tin.check(), Ok(()));
         let error = |s: &Sample| (tin.height_at(s.at, |_| true).unwrap() - s.height).abs();
         let worst = samples.iter().map(error).fold(0.0, f64::max);
-        eprintln!("24 000 samples: {} vertices, {took_ms:.1} ms, worst {worst}", tin.vertices());
         assert!(worst <= 0.02 + 1e-12, "{worst}");
         assert!(tin.vertices() < 400, "{} vertices", tin.vertices());
         assert_eq!(area(&tin), 159.0 * 149.0);
-        assert!(took_ms < 1000.0, "{took_ms} ms"); // some 15 ms on an idle core
     }
 
     #[test]
@@ -478,6 +474,35 @@ mod tests {
             tin.refine(-1.0).unwrap(); // no error is so small: all are inserted
             prop_assert!(tin.faces().next().is_none() || tin.vertices() == samples.len());
             prop_assert_eq!(tin.check(), Ok(()));
+        }
+    }
+
+    #[test]
+    fn a_mountain_takes_as_many_vertices_as_it_takes_others() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data/terrain/fuji_terrain_rgb.png");
+        let Ok(picture) = ::image::open(path) else {
+            eprintln!("skipped: ../shared/data is absent");
+            return;
+        };
+        let height =
+            |[r, g, b]: [u8; 3]| (f64::from(r) * 65536.0 + f64::from(g) * 256.0 + f64::from(b)) / 10.0 - 10000.0;
+        let place = |(x, y, pixel): (u32, u32, &::image::Rgb<u8>)| Sample {
+            at: [f64::from(x), f64::from(y)],
+            height: height(pixel.0),
+        };
+        let samples: Vec<Sample> = picture.to_rgb8().enumerate_pixels().map(place).collect();
+        // Delatin, the same greedy insertion by another hand, needs 2618 and 27 096.
+        for (error_max, delatin) in [(50.0, 2618.0), (10.0, 27_096.0)] {
+            let mut tin = Tin::new(samples.clone()).unwrap();
+            tin.refine(error_max).unwrap();
+            assert_eq!(tin.check(), Ok(()));
+            assert!(
+                (tin.vertices() as f64 / delatin - 1.0).abs() < 0.005,
+                "{} vertices at {error_max} m",
+                tin.vertices()
+            );
+            let error = |s: &Sample| (tin.height_at(s.at, |_| true).unwrap() - s.height).abs();
+            assert!(samples.iter().map(error).fold(0.0, f64::max) <= error_max + 1e-6);
         }
     }
 

@@ -861,32 +861,4 @@ mod tests {
         assert!(renderer.expose(&surfaces, &lost, 0.0, 0.3, 0, 0).is_err());
         assert!(renderer.expose(&surfaces, &Transform::identity(), 0.0, f64::INFINITY, 0, 0).is_err());
     }
-
-    /// Prints what a frame costs; `--nocapture` shows it.
-    #[test]
-    fn how_long_a_frame_takes() {
-        let n = 316u32;
-        let at = |i: u32| {
-            let (x, y) = (f64::from(i / (n + 1)) * 0.03 - 2.0, f64::from(i % (n + 1)) * 0.03 - 4.7);
-            V3::new(x, y, 0.02 * (3.0 * x).sin() * (4.0 * y).cos())
-        };
-        let vertices = (0..(n + 1) * (n + 1)).map(at).collect();
-        let cell = |i: u32| i / n * (n + 1) + i % n;
-        let triangles =
-            (0..n * n).map(cell).flat_map(|a| [[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]).collect();
-        let hills = body(Shape::Mesh(Arc::new(Mesh { vertices, triangles })), [0.0; 3]);
-        let room = clutter();
-        let hilly = Scene { bodies: [vec![hills], room.bodies[1..].to_vec()].concat(), ..Scene::default() };
-        for (name, world) in [("nothing", scene(vec![])), ("room", room), ("200 k triangles", hilly)] {
-            let surfaces = Surfaces::new(&world).unwrap();
-            let renderer = Renderer::new(&Rig::metro_i(), ImageParams::default(), &world).unwrap();
-            let start = std::time::Instant::now();
-            let mut sights = 0;
-            for frame in 0..50 {
-                let beam = 0.2 + 0.006 * frame as f64;
-                sights += renderer.expose(&surfaces, &Transform::identity(), 0.1, beam, 0, frame).unwrap().truth.len();
-            }
-            println!("{name}: {:.2} ms a frame, {} sights", start.elapsed().as_secs_f64() * 20.0, sights / 50);
-        }
-    }
 }

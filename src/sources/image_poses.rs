@@ -73,7 +73,8 @@ fn from_table(path: &Path, spec: &ImagesSpec, files: &[PathBuf]) -> Result<Poses
     for (line, words) in lines(path)? {
         let wrong = |fault: Fault| fault.in_file(path).at_line(line);
         if !matches!(words.len(), 8 | 9 | 11) {
-            let expected = "name tx ty tz qx qy qz qw, with a stamp or a stamp and two pulse counts or nothing after them";
+            let expected =
+                "name tx ty tz qx qy qz qw, with a stamp or a stamp and two pulse counts or nothing after them";
             return Err(wrong(Fault::new("words", words.len(), expected)));
         }
         let odom_from_robot = pose(&words[1..8]).map_err(wrong)?;
@@ -186,4 +187,81 @@ fn pose(words: &[String]) -> Result<Transform<Odom, Robot>> {
     }
     let rotation = UnitQuaternion::from_quaternion(quaternion);
     Ok(Isometry3::from_parts(Translation3::new(v[0], v[1], v[2]), rotation).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sources::images::ImagesSpec;
+
+    fn files() -> Vec<PathBuf> {
+        [1, 2, 3].map(|i| PathBuf::from(format!("folder/img{i}.png"))).to_vec()
+    }
+
+    fn read(text: &str, spec: impl Fn(PathBuf) -> ImagesSpec) -> Result<Poses> {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("poses.txt"), text).unwrap();
+        Poses::read(&spec("poses.txt".into()), &folder.path().join("rig.toml"), &files())
+    }
+
+    fn table(path: PathBuf) -> ImagesSpec {
+        ImagesSpec { table: Some(path), ..ImagesSpec::default() }
+    }
+
+    fn trajectory(path: PathBuf) -> ImagesSpec {
+        ImagesSpec { trajectory: Some(path), ..ImagesSpec::default() }
+    }
+
+    fn timed(path: PathBuf) -> ImagesSpec {
+        ImagesSpec { trajectory: Some(path), period_s: Some(0.5), ..ImagesSpec::default() }
+    }
+
+    #[test]
+    fn a_table_gives_poses_times_and_pulses_by_name() {
+        let text = "# name tx ty tz qx qy qz qw stamp cylinder mirror\n\
+                    img3.png 3 0 0 0 0 0 1 9.5 7 -8\n\nimg1.png, 1, 2, 3, 0, 0, 0.70710678, 0.70710678, 2.5  # turned\n";
+        let poses = read(text, table).unwrap();
+        let first = poses.of(0).unwrap();
+        assert_eq!((first.stamp, first.odom_from_robot.xyz().z), (Stamp::from_secs(2.5), 3.0));
+        assert!((first.odom_from_robot.yaw() - std::f64::consts::FRAC_PI_2).abs() < 1e-7);
+        assert_eq!(poses.of(1), None);
+        assert_eq!(poses.of(2).map(|p| (p.cylinder_pulse, p.mirror_pulse)), Some((7, -8)));
+    }
+
+    #[test]
+    fn a_trajectory_is_taken_line_by_line_or_interpolated_in_time() {
+        let text = "0.4 0 0 0 0 0 0 1\n0.9 0.5 0 0 0 0 0 1\n1.4 0.5 1 0 0 0 0 1\n";
+        let by_line = read(text, trajectory).unwrap();
+        assert_eq!(by_line.of(1).unwrap().stamp, Stamp::from_secs(0.9));
+        let by_time = read(text, timed).unwrap(); // images at 0.5, 1.0 and 1.5 s
+        assert!((by_time.of(0).unwrap().odom_from_robot.xyz().x - 0.1).abs() < 1e-9);
+        assert!((by_time.of(1).unwrap().odom_from_robot.xyz().y - 0.2).abs() < 1e-9);
+        assert_eq!(by_time.of(2), None);
+    }
+
+    #[test]
+    fn a_bad_line_is_named() {
+        for (text, line, word) in [
+            ("img1.png 1 2 3", 1, "words"),
+            ("# a\nimg1.png 1 2 x 0 0 0 1 0", 2, "tz"),
+            ("img1.png 1 2 nan 0 0 0 1 0", 1, "tz"),
+            ("img1.png 1 2 3 0 0 0 2 0", 1, "unit quaternion"),
+            ("img1.png 1 2 3 0 0 0 1 1e300", 1, "timestamp"),
+            ("img1.png 1 2 3 0 0 0 1 0 5 1.5", 1, "mirror"),
+            ("img1.png 1 2 3 0 0 0 1 0\nimg1.png 1 2 3 0 0 0 1 0", 2, "one line an image"),
+        ] {
+            let fault = read(text, table).unwrap_err();
+            assert_eq!(fault.line, Some(line), "{fault}");
+            assert!(fault.to_string().contains(word) && fault.to_string().contains("poses.txt"), "{fault}");
+        }
+        assert!(read("img1.png 1 2 3 0 0 0 1", table).unwrap_err().to_string().contains("period_s"));
+        assert!(read("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1", trajectory).unwrap_err().to_string().contains("later"));
+        assert!(read("1 0 0 0 0 0 0 1", trajectory).unwrap_err().to_string().contains("one an image"));
+        assert!(read("1 0 0 0 0 0 1", trajectory).is_err());
+        assert!(read("", timed).unwrap().of(0).is_none());
+        let absent = Poses::read(&table("none.txt".into()), Path::new("rig.toml"), &files()).unwrap_err();
+        assert!(absent.to_string().contains("none.txt"));
+        let nameless = Poses::read(&ImagesSpec::default(), Path::new("rig.toml"), &["a.png".into()]).unwrap_err();
+        assert!(nameless.to_string().contains("digits"));
+    }
 }

@@ -148,7 +148,11 @@ impl ImagesSpec {
         match self.period_s {
             Some(period) => number_within("images.period_s", period, 1e-6, 1e6).map(drop)?,
             None if self.step_m.is_some() => {
-                return Err(Fault::new("images.period_s", "nothing", "the time from one image to the next, with step_m"));
+                return Err(Fault::new(
+                    "images.period_s",
+                    "nothing",
+                    "the time from one image to the next, with step_m",
+                ));
             }
             None => {}
         }
@@ -335,4 +339,140 @@ pub(super) fn number_of(path: &Path) -> Option<u64> {
         Part::Number(number) => Some(number),
         Part::Text(_) => None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sources::rig_file;
+    use ::image::{GrayImage, Rgb, RgbImage};
+
+    fn rig(images: &str) -> String {
+        format!(
+            "version = 1\nname = \"r\"\nrange_m_max = 4.0\n[camera]\nwidth = 8\nheight = 6\nfx = 9.0\nfy = 9.0\ncx = 4.0\ncy = 3.0\n\
+             [mount]\nposition_m = [0.0, 0.0, 0.5]\n[laser]\nkind = \"plane\"\nnormal = [0.0, 1.0, 0.3]\noffset_m = 0.2\n\
+             [images]\n{images}\n"
+        )
+    }
+
+    fn folder_with(images: &str, files: &[&str]) -> (tempfile::TempDir, RigFile) {
+        let folder = tempfile::tempdir().unwrap();
+        for file in files {
+            GrayImage::new(8, 6).save(folder.path().join(file)).unwrap();
+        }
+        let rig = rig_file::parse(&rig(images), &folder.path().join("rig.toml")).unwrap();
+        (folder, rig)
+    }
+
+    fn png(image: &DynamicImage) -> Vec<u8> {
+        encoded(image, ImageFormat::Png)
+    }
+
+    fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        image.write_to(&mut bytes, format).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn every_kind_and_channel_is_read() {
+        let colour = DynamicImage::ImageRgb8(RgbImage::from_pixel(4, 3, Rgb([200, 90, 50])));
+        for format in [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::Bmp, ImageFormat::Pnm] {
+            let image = decode(&encoded(&colour, format), Channel::Red, 127).unwrap();
+            assert_eq!((image.width(), image.height(), image.white()), (4, 3, 127));
+            assert!((i16::from(image.levels()[5]) - 200).abs() < 3, "{format:?}");
+        }
+        let level = |channel| decode(&png(&colour), channel, 255).unwrap().levels()[0];
+        assert_eq!(
+            [Channel::Red, Channel::Green, Channel::Blue, Channel::RedMinusOthers].map(level),
+            [200, 90, 50, 142]
+        );
+        assert!((100..125).contains(&level(Channel::Gray)));
+        let dark = DynamicImage::ImageRgb8(RgbImage::from_pixel(1, 1, Rgb([80, 90, 50])));
+        assert_eq!(decode(&png(&dark), Channel::RedMinusOthers, 255).unwrap().levels(), [22]);
+        let gray = DynamicImage::ImageLuma8(GrayImage::from_pixel(4, 3, ::image::Luma([77])));
+        for channel in [Channel::Red, Channel::Blue, Channel::RedMinusOthers] {
+            assert_eq!(decode(&png(&gray), channel, 255).unwrap().levels()[0], 77);
+        }
+    }
+
+    #[test]
+    fn what_is_no_whole_image_is_refused_with_its_name() {
+        let noisy = RgbImage::from_fn(64, 48, |x, y| Rgb([(x * 37 + y * 91) as u8, (x * y) as u8, (x ^ y) as u8]));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        for format in [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::Bmp, ImageFormat::Pnm] {
+            let whole = encoded(&DynamicImage::ImageRgb8(noisy.clone()), format);
+            // The last 16 bytes of a PNG hold no pixels.
+            for length in [0, 1, 5, 20, whole.len() / 2, whole.len() - 17] {
+                std::fs::write(&path, &whole[..length]).unwrap();
+                let fault = read_image(&path, Channel::Red, 255).unwrap_err();
+                assert!(fault.to_string().contains("a.jpg"), "{format:?} {length}: {fault}");
+            }
+        }
+        std::fs::write(&path, "not an image at all, but long enough to be one").unwrap();
+        assert!(read_image(&path, Channel::Red, 255).is_err());
+        assert!(read_image(&folder.path().join("none.png"), Channel::Red, 255).is_err());
+        assert!(read_image(folder.path(), Channel::Red, 255).is_err());
+        // A header that promises more than there may be.
+        let huge = b"P5 60000 60000 255\n";
+        assert!(decode(huge, Channel::Red, 255).unwrap_err().to_string().contains("64 Mpixel"));
+    }
+
+    #[test]
+    fn files_come_in_natural_order_with_steps_along_x() {
+        let files = ["img10.png", "img2.png", "img0.png", "other7.png"];
+        let (folder, rig) = folder_with("pattern = \"img*.png\"\nstep_m = 0.02\nperiod_s = 0.5\nstart_s = 3.0", &files);
+        std::fs::write(folder.path().join("img3.txt"), "no image").unwrap();
+        let captures: Vec<Capture> = ImageFolder::open(folder.path(), &rig).unwrap().map(|c| c.unwrap()).collect();
+        let places: Vec<(u64, f64, f64)> =
+            captures.iter().map(|c| (c.id, c.stamp.as_secs(), c.odom_from_robot.xyz().x)).collect();
+        assert_eq!(places, [(0, 3.0, 0.0), (1, 4.0, 0.04), (2, 8.0, 0.2)]);
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_counted_but_another_camera_is_refused() {
+        let (folder, rig) = folder_with("step_m = 0.02\nperiod_s = 0.5", &["a1.png", "a2.png", "a3.png", "a4.png"]);
+        std::fs::write(folder.path().join("a1.png"), "").unwrap();
+        GrayImage::new(9, 6).save(folder.path().join("a3.png")).unwrap();
+        let mut images = ImageFolder::open(folder.path(), &rig).unwrap();
+        assert_eq!((images.len(), images.is_empty()), (4, false));
+        let ids: Vec<u64> = images.by_ref().map(|c| c.unwrap().id).collect();
+        assert_eq!(ids, [1, 3]);
+        assert_eq!((images.dropped().0[&Drop::Unreadable], images.dropped().0[&Drop::WrongSize]), (1, 1));
+        assert!(images.faults()[0].to_string().contains("a1.png") && images.faults()[1].to_string().contains("9 x 6"));
+        GrayImage::new(9, 6).save(folder.path().join("a1.png")).unwrap();
+        let fault = ImageFolder::open(folder.path(), &rig).unwrap().next_capture().unwrap_err();
+        assert!(fault.to_string().contains("a1.png") && fault.to_string().contains("8 x 6"), "{fault}");
+    }
+
+    #[test]
+    fn folders_without_images_and_rigs_without_poses_are_refused() {
+        let (folder, rig) = folder_with("step_m = 0.02\nperiod_s = 0.5", &[]);
+        assert!(ImageFolder::open(folder.path(), &rig).unwrap_err().to_string().contains("png"));
+        assert!(ImageFolder::open(&folder.path().join("none"), &rig).is_err());
+        let without = RigFile { images: None, ..rig };
+        assert!(ImageFolder::open(folder.path(), &without).unwrap_err().to_string().contains("[images]"));
+        for (spec, word) in [
+            (ImagesSpec::default(), "exactly one"),
+            (ImagesSpec { step_m: Some(0.1), table: Some("t".into()), ..Default::default() }, "exactly one"),
+            (ImagesSpec { step_m: Some(0.1), ..Default::default() }, "period_s"),
+            (ImagesSpec { step_m: Some(f64::NAN), period_s: Some(1.0), ..Default::default() }, "step_m"),
+            (ImagesSpec { step_m: Some(0.1), period_s: Some(0.0), ..Default::default() }, "period_s"),
+            (ImagesSpec { step_m: Some(0.1), period_s: Some(1.0), white: Some(0), ..Default::default() }, "white"),
+            (ImagesSpec { table: Some("t".into()), pattern: Some("*a*".into()), ..Default::default() }, "pattern"),
+        ] {
+            assert!(spec.validated().unwrap_err().to_string().contains(word), "{word}");
+        }
+    }
+
+    #[test]
+    fn numbers_in_names_order_by_value() {
+        let mut names = ["img10", "img2", "b", "img2b", "1", "img", "img02"];
+        names.sort_by_key(|name| natural(name));
+        assert_eq!(names, ["1", "b", "img", "img2", "img02", "img2b", "img10"]);
+        assert_eq!(number_of(Path::new("x/img0029.jpg")), Some(29));
+        assert_eq!(number_of(Path::new("2025_07 (3) left.png")), Some(3));
+        assert_eq!(number_of(Path::new("img99999999999999999999999.png")), None);
+    }
 }

@@ -247,7 +247,8 @@ impl CameraTable {
     fn camera(self, rig_path: &Path) -> Result<Camera> {
         let numbers = [self.fx, self.fy, self.cx, self.cy];
         if let Some(info) = self.camera_info {
-            if self.width.or(self.height).is_some() || numbers.iter().any(Option::is_some) || self.distortion.is_some() {
+            if self.width.or(self.height).is_some() || numbers.iter().any(Option::is_some) || self.distortion.is_some()
+            {
                 let expected = "either camera_info or the camera's own numbers";
                 return Err(Fault::new("camera.camera_info", "both", expected));
             }
@@ -288,8 +289,12 @@ impl Mount {
         let roll = one("roll", self.roll_deg, self.roll_rad)?;
         if let Some(q) = self.rotation {
             let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-            if !((length - 1.0).abs() < 1e-6) {
-                return Err(Fault::new(format!("{what}.rotation"), format!("length {length}"), "a unit quaternion [x, y, z, w]"));
+            if length.is_nan() || (length - 1.0).abs() > 1e-6 {
+                return Err(Fault::new(
+                    format!("{what}.rotation"),
+                    format!("length {length}"),
+                    "a unit quaternion [x, y, z, w]",
+                ));
             }
             if tilt.or(pan).or(roll).is_some() {
                 return Err(Fault::new(format!("{what}.rotation"), "angles too", "either a quaternion or angles"));
@@ -378,9 +383,200 @@ fn camera_of(info: &CameraInfo) -> Result<Camera> {
         ("plumb_bob", &[k1, k2, p1, p2]) => Distortion::BrownConrady { k1, k2, p1, p2, k3: 0.0 },
         ("plumb_bob", &[k1, k2, p1, p2, k3]) => Distortion::BrownConrady { k1, k2, p1, p2, k3 },
         ("plumb_bob", other) => {
-            return Err(Fault::new("distortion_coefficients", format!("{} numbers", other.len()), "4 or 5 for plumb_bob"));
+            return Err(Fault::new(
+                "distortion_coefficients",
+                format!("{} numbers", other.len()),
+                "4 or 5 for plumb_bob",
+            ));
         }
         (other, _) => return Err(Fault::new("distortion_model", other, "plumb_bob")),
     };
     Ok(Camera { width: info.image_width, height: info.image_height, fx, fy, cx, cy, distortion })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optics::{MirrorLaser, PlaneLaser};
+    use proptest::prelude::*;
+
+    const GOOD: &str = r#"version = 1
+name = "test"
+range_m_max = 4.5
+
+[camera]
+width = 640
+height = 480
+fx = 514.4
+fy = 685.9
+cx = 329.8
+cy = 237.7
+
+[mount]
+position_m = [0.1, 0.0, 0.2]
+tilt_deg = 20.0
+
+[laser]
+kind = "plane"
+normal = [0.0, -0.937, 0.346]
+offset_m = 0.166
+"#;
+
+    fn read_text(text: &str) -> Result<RigFile> {
+        parse(text, Path::new("some/rig.toml"))
+    }
+
+    #[test]
+    fn a_rig_comes_back_bit_for_bit() {
+        let rig = Rig::metro_i();
+        assert_eq!(read_text(&to_toml(&rig)).unwrap().rig, rig);
+        let rig = read_text(GOOD).unwrap().rig;
+        assert_eq!(read_text(&to_toml(&rig)).unwrap().rig, rig);
+    }
+
+    proptest! {
+        #[test]
+        fn any_rig_comes_back_bit_for_bit(
+            xyz in prop::array::uniform3(-9.0..9.0f64), rpy in prop::array::uniform3(-3.0..3.0f64),
+            k in prop::array::uniform5(-0.9..0.9f64), n in prop::array::uniform3(0.1..1.0f64), mirror: bool,
+            sigma in 1e-9..1e-3f64, name in "\\PC{0,20}",
+        ) {
+            let [k1, k2, p1, p2, k3] = k;
+            let plane = PlaneLaser { normal: n, offset_m: 3.0 + k1, origin_m: (k2 > 0.0).then_some(xyz) };
+            let metro = Rig::metro_i();
+            let rig = Rig {
+                name,
+                camera: Camera { distortion: Distortion::BrownConrady { k1, k2, p1, p2, k3 }, ..metro.camera },
+                sensor_from_camera: Transform::from_xyz_rpy(xyz, rpy),
+                robot_from_finder: Transform::from_xyz_rpy(rpy, xyz),
+                laser: if mirror { metro.laser } else { Laser::Plane(plane) },
+                beam_sigma_rad: sigma,
+                ..metro
+            };
+            if let Ok(rig) = rig.validated() {
+                prop_assert_eq!(read_text(&to_toml(&rig)).unwrap().rig, rig);
+            }
+        }
+
+        #[test]
+        fn a_damaged_file_is_never_a_panic(at in 0usize..GOOD.len(), byte in any::<u8>(), cut: bool) {
+            let mut bytes = GOOD.as_bytes().to_vec();
+            if cut { bytes.truncate(at) } else { bytes[at] = byte }
+            let _ = read_text(&String::from_utf8_lossy(&bytes));
+        }
+    }
+
+    #[test]
+    fn tilt_pan_and_roll_turn_the_camera_as_they_say() {
+        let mount = |text: &str| read_text(&GOOD.replace("tilt_deg = 20.0", text)).unwrap().rig.sensor_from_camera;
+        let sees = |text: &str, v: Vector3<f64>| mount(text).rotate(&v);
+        let near = |a: Vector3<f64>, b: [f64; 3]| (a - Vector3::from(b)).norm() < 1e-12;
+        assert!(near(sees("", Vector3::z()), [1.0, 0.0, 0.0]));
+        assert!(near(sees("", Vector3::x()), [0.0, -1.0, 0.0]));
+        assert!(near(sees("tilt_deg = 90", Vector3::z()), [0.0, 0.0, -1.0]));
+        assert!(near(sees("pan_deg = 90", Vector3::z()), [0.0, 1.0, 0.0]));
+        assert!(near(sees("roll_deg = 90", Vector3::x()), [0.0, 0.0, -1.0]));
+        assert!(near(sees("tilt_rad = 0.3\npan_deg = 90", Vector3::z()), [0.0, 0.3f64.cos(), -0.3f64.sin()]));
+        // The same as the paper's mount.
+        let metro = Rig::metro_i().sensor_from_camera;
+        let turned = mount("tilt_rad = 0.484");
+        assert!(turned.iso.rotation.angle_to(&metro.iso.rotation) < 1e-12);
+    }
+
+    #[test]
+    fn a_mirror_rig_and_all_optional_tables_are_read() {
+        let (head, _) = GOOD.split_once("[laser]").unwrap();
+        let text = format!(
+            "{head}[laser]\nkind = \"mirror\"\nmirror_m = [0.0, 0.0, 0.8]\nbeam = {{ zero_rad = 0.3, rad_per_pulse = 0.001, \
+             pulse_min = -5, pulse_max = 9 }}\n[cylinder]\nzero_rad = 0.0\nrad_per_pulse = 0.001\npulse_min = 0\npulse_max = 1\n\
+             [sheet]\nwaist_m = 0.001\n[finder]\nposition_m = [0.0, 0.0, 0.1]\n[images]\nstep_m = 0.1\nperiod_s = 1.0\n\
+             [line]\nestimator = \"gauss3\"\n"
+        );
+        let file = read_text(&text).unwrap();
+        assert!(matches!(file.rig.laser, Laser::Mirror(MirrorLaser { roll_rad, .. }) if roll_rad == 0.0));
+        assert_eq!((file.rig.cylinder.pulse_max, file.rig.sheet.waist_m), (1, 0.001));
+        assert_eq!(file.rig.robot_from_finder.xyz().z, 0.1);
+        assert_eq!(file.images.unwrap().step_m, Some(0.1));
+        assert_eq!(file.line.estimator, crate::line::Estimator::Gauss3);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_file_and_line() {
+        for (from, to, line, word) in [
+            ("version = 1", "version = 2", Some(1), "newer"),
+            ("version = 1", "", None, "version"),
+            ("fx = 514.4", "fx = -514.4", Some(8), "camera.fx"),
+            ("fx = 514.4", "fx = nan", Some(8), "camera.fx"),
+            ("fx = 514.4", "fx = \"a\"", Some(8), "rig file"),
+            ("fx = 514.4", "fz = 514.4", Some(8), "fz"),
+            ("fx = 514.4\n", "", Some(5), "camera.fx"),
+            ("width = 640", "width = 0", Some(6), "camera.width"),
+            ("width = 640", "width = -1", Some(6), "rig file"),
+            ("tilt_deg = 20.0", "tilt_deg = inf", Some(13), "mount.tilt"),
+            ("tilt_deg = 20.0", "tilt_deg = 2.0\ntilt_rad = 1.0", Some(15), "both"),
+            ("tilt_deg = 20.0", "rotation = [0.0, 0.0, 0.0, 0.0]", Some(15), "unit quaternion"),
+            ("tilt_deg = 20.0", "tilt = 20.0", Some(15), "tilt"),
+            ("position_m = [0.1, 0.0, 0.2]", "position_m = [0.1, nan, 0.2]", Some(14), "mount.position_m"),
+            ("offset_m = 0.166", "offset_m = 0.0", Some(17), "camera's centre"),
+            ("offset_m = 0.166", "offset_m = nan", Some(17), "laser"),
+            ("offset_m = 0.166", "offset_m = 0.1\norigin_m = [nan, 0.0, 0.0]", Some(17), "laser"),
+            ("normal = [0.0, -0.937, 0.346]", "normal = [0.0, 0.0, 0.0]", Some(19), "laser.normal"),
+            ("range_m_max = 4.5", "range_m_max = 0.0", Some(3), "range_m_max"),
+            ("range_m_max = 4.5", "range_m_max = 4.5\nspeed = 3", Some(4), "speed"),
+            ("[laser]", "[line]\nridge_min = 0.0\n[laser]", Some(18), "line.ridge_min"),
+            ("[laser]", "[images]\nstep_m = 0.1\n[laser]", Some(17), "images.period_s"),
+            ("[laser]", "[camera.laser]", None, ""),
+            ("name = \"test\"", "name = \"test", Some(2), "rig file"),
+        ] {
+            let fault = read_text(&GOOD.replace(from, to)).unwrap_err();
+            let text = fault.to_string();
+            assert!(text.starts_with("some/rig.toml") && text.contains(word), "{from} -> {to}: {text}");
+            if line.is_some() && word != "mount.tilt" {
+                assert_eq!(fault.line, line, "{from} -> {to}: {text}");
+            }
+        }
+        assert!(read_text("").is_err());
+        assert!(load(Path::new("none/rig.toml")).unwrap_err().to_string().contains("none/rig.toml"));
+    }
+
+    const INFO: &str = "image_width: 640\nimage_height: 480\ncamera_name: c\ncamera_matrix:\n  rows: 3\n  cols: 3\n  \
+        data: [514.4, 0.0, 329.8, 0, 685.9, 237.7, 0, 0, 1]\ndistortion_model: plumb_bob\ndistortion_coefficients:\n  \
+        rows: 1\n  cols: 5\n  data: [-0.35, 0.158, 0.0007, -0.0002, 0.0]\nrectification_matrix:\n  rows: 3\n  cols: 3\n  \
+        data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n";
+
+    #[test]
+    fn a_ros_camera_is_read_from_beside_the_rig() {
+        let folder = tempfile::tempdir().unwrap();
+        let (start, rest) = GOOD.split_once("width").unwrap();
+        let (_, end) = rest.split_once("[mount]").unwrap();
+        let text = format!("{start}camera_info = \"camera.yaml\"\n[mount]{end}");
+        let rig_path = folder.path().join("rig.toml");
+        std::fs::write(&rig_path, &text).unwrap();
+        std::fs::write(folder.path().join("camera.yaml"), INFO).unwrap();
+        let camera = load(&rig_path).unwrap().rig.camera;
+        assert_eq!((camera.width, camera.fx, camera.cy), (640, 514.4, 237.7));
+        assert_eq!(
+            camera.distortion,
+            Distortion::BrownConrady { k1: -0.35, k2: 0.158, p1: 0.0007, p2: -0.0002, k3: 0.0 }
+        );
+        for (from, to, word) in [
+            ("plumb_bob", "equidistant", "distortion_model"),
+            ("data: [514.4, 0.0", "data: [514.4, 3.0", "camera_matrix"),
+            ("514.4", "-514.4", "camera.fx"),
+            ("514.4", ".nan", "camera"),
+            ("cols: 5", "cols: 4", "distortion_coefficients"),
+            (", 237.7, 0, 0, 1]", "]", "camera_matrix"),
+            ("image_width: 640", "image_width: x", "camera info"),
+            ("image_width: 640", "", "image_width"),
+            ("camera_matrix:", "camera_matrix: [", "camera info"),
+        ] {
+            std::fs::write(folder.path().join("camera.yaml"), INFO.replace(from, to)).unwrap();
+            let fault = load(&rig_path).unwrap_err().to_string();
+            assert!(fault.contains("camera.yaml") && fault.contains(word), "{from} -> {to}: {fault}");
+        }
+        std::fs::remove_file(folder.path().join("camera.yaml")).unwrap();
+        assert!(load(&rig_path).unwrap_err().to_string().contains("camera.yaml"));
+        std::fs::write(&rig_path, text.replace("camera.yaml\"", "camera.yaml\"\nfx = 3.0")).unwrap();
+        assert!(load(&rig_path).unwrap_err().to_string().contains("both"));
+    }
 }

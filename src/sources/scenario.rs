@@ -8,7 +8,7 @@ use super::rig_file;
 use crate::fault::{Fault, Result, positive};
 use crate::line::LineParams;
 use crate::maps::MapParams;
-use crate::navigation::{Mission, ScanKind, Step};
+use crate::navigation::{DriveStep, Mission, ScanKind, Step};
 use crate::optics::Rig;
 use crate::pipeline::PipelineParams;
 use crate::robot::{RobotParams, StartParams};
@@ -141,7 +141,7 @@ impl Scenario {
             sweep: SweepParams::default(),
             image: ImageParams::default(),
             pipeline: PipelineParams::default(),
-            mission: Mission::look_around(),
+            mission: look_and_move(),
         })
     }
 }
@@ -159,6 +159,13 @@ impl Scenario {
         let legs = goals.iter().flat_map(|&to_m| [Step::GoTo { to_m, speed_m_s: None }, scan]);
         self.mission.steps = std::iter::once(scan).chain(legs).collect();
     }
+}
+
+/// The mission in a world that brings none: look around, drive 2 m ahead as far as the map shows it free, look again.
+fn look_and_move() -> Mission {
+    let scan = Step::Scan(ScanKind::Turn);
+    let ahead = Step::Drive(DriveStep { v_m_s: 0.25, omega_rad_s: 0.0, seconds: 8.0, blind: false });
+    Mission { steps: vec![scan, ahead, scan] }
 }
 
 /// A whole text file of bounded size.

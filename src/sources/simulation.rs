@@ -14,7 +14,6 @@ use crate::navigation::{FollowParams, Follower, ScanKind, ScanRequest};
 use crate::optics::{Laser, Rig};
 use crate::robot::{BodyCommand, Drive, Odometry, RobotParams};
 use crate::scanner::{Head, Renderer, Schedule, Shot as Trigger, Sweep, SweepParams, TrueSight};
-use crate::sinks;
 use crate::time::Stamp;
 use crate::world::{Mesh, Motion, Physics, Scene, Surfaces};
 
@@ -45,13 +44,6 @@ pub struct ShotTruth {
     pub sights: Vec<TrueSight>,
     /// Bodies that have moved: index in the scene, and how far since the start (world from world).
     pub moved: Vec<(usize, Isometry3<f64>)>,
-}
-
-impl ShotTruth {
-    /// What sinks draw of it.
-    pub fn for_sinks(&self, point_rms_m: Option<f64>) -> sinks::Truth {
-        sinks::Truth { world_from_robot: self.world_from_robot, moved: self.moved.clone(), point_rms_m }
-    }
 }
 
 /// A run under way.

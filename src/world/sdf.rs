@@ -951,7 +951,7 @@ mod tests {
         let cases = [
             ("0 0 0 0 0 0", "0 0 0 0 0", "w.sdf:5: pose: found 5 numbers, expected 6 numbers"),
             ("0 0 0 0 0 0", "0 0 0 0 0 nan", "w.sdf:5: pose: found `nan`"),
-            ("0 0 0 0 0 0", "0 0 1e300 0 0 0", "w.sdf:5: pose: found 1000000"),
+            ("0 0 0 0 0 0", "0 0 1e300 0 0 0", "w.sdf:5: pose: found 1e300"),
             ("0 0 0 0 0 0", "x 0 0 0 0 0", "w.sdf:5: pose: found `x`"),
             ("<radius>0.5</radius>", "", "w.sdf:7: sphere: found no <radius>"),
             ("0.5", "-0.5", "w.sdf:7: radius: found -0.5, expected a number greater than 0"),

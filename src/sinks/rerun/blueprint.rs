@@ -6,8 +6,8 @@
 use nalgebra::Vector3;
 use rerun::external::re_log_types::BlueprintActivationCommand;
 use rerun::external::re_sdk_types::blueprint::archetypes::{
-    ContainerBlueprint, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend, TextLogColumns, TimePanelBlueprint,
-    ViewBlueprint, ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualBounds2D,
+    ContainerBlueprint, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend, TextLogColumns, TimeAxis,
+    TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualBounds2D,
 };
 use rerun::external::re_sdk_types::blueprint::components as parts;
 use rerun::external::re_sdk_types::blueprint::datatypes::{TextLogColumn, TextLogColumnKind};
@@ -65,8 +65,9 @@ pub(super) fn send(out: &Out, layout: &Layout, revision: i64) -> Result<()> {
 
 fn write(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<()> {
     let world = world_view(book, layout)?;
-    let map = map_view(book, layout)?;
-    let scenes = book.container(parts::ContainerKind::Tabs, &[world, map], &[])?;
+    let voxels = map_view(book, layout, "Voxels", "/world/occupancy/**")?;
+    let terrain = map_view(book, layout, "Terrain", "/world/terrain/**")?;
+    let scenes = book.container(parts::ContainerKind::Tabs, &[world, voxels, terrain], &[])?;
     let camera = camera_view(book, layout)?;
     let plan = plan_view(book, layout)?;
     let mut plots = vec![];
@@ -81,7 +82,8 @@ fn write(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<()> {
     book.set(&log, "TextLogColumns", &TextLogColumns::new().with_text_log_columns(columns))?;
     let about = book.view("TextDocument", "About", "/", &["/about"])?;
     let words = book.container(parts::ContainerKind::Tabs, &[log, about], &[])?;
-    let column = book.container(parts::ContainerKind::Vertical, &[camera, plan, plots, words], &[3.0, 3.0, 2.0, 2.0])?;
+    let column =
+        book.container(parts::ContainerKind::Vertical, &[camera, plan, plots, words], &[3.0, 3.0, 2.0, 2.0])?;
     let root = book.container(parts::ContainerKind::Horizontal, &[scenes, column], &[5.0, 3.0])?;
     let viewport = ViewportBlueprint::new()
         .with_root_container(parts::RootContainer(datatypes::Uuid { bytes: uuid_bytes(root.number) }))
@@ -108,10 +110,9 @@ fn world_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<
     Ok(view)
 }
 
-/// What was made of the points: voxels and terrain.
-fn map_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<Part> {
-    let contents = ["/world/occupancy/**", "/world/terrain/**", "/world/robot/**", "/path/**"];
-    let view = book.view("3D", "Map: voxels and terrain", "/world", &contents)?;
+/// One of the maps made of the points.
+fn map_view(book: &mut Book, layout: &Layout, name: &str, map: &str) -> rerun::RecordingStreamResult<Part> {
+    let view = book.view("3D", name, "/world", &[map, "/world/robot/**", "/path/**"])?;
     book.set(&view, "EyeControls3D", &from_the_side(&layout.bounds_m))?;
     book.whole_past(&view)?;
     Ok(view)
@@ -145,6 +146,11 @@ fn plan_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<P
 fn plot_view(book: &mut Book, name: &str, series: &[&str]) -> rerun::RecordingStreamResult<Part> {
     let view = book.view("TimeSeries", name, "/metrics", series)?;
     book.set(&view, "PlotLegend", &PlotLegend::new().with_corner(parts::Corner2D::LeftTop))?;
+    let all = datatypes::TimeRange {
+        start: datatypes::TimeRangeBoundary::Infinite,
+        end: datatypes::TimeRangeBoundary::Infinite,
+    };
+    book.set(&view, "TimeAxis", &TimeAxis::new().with_view_range(parts::TimeRange(all)))?;
     Ok(view)
 }
 
@@ -153,7 +159,7 @@ fn from_the_side([low, high]: &[Vector3<f64>; 2]) -> EyeControls3D {
     let radius = ((high - low).norm() / 2.0).max(0.1);
     let target = (low + high) / 2.0;
     let direction = Vector3::new(-0.55, -0.65, 0.62).normalize();
-    let position = target + direction * (radius * 0.8 / HALF_FOV_RAD.sin());
+    let position = target + direction * (radius * 0.68 / HALF_FOV_RAD.sin());
     EyeControls3D::new().with_position(f32s(&position)).with_look_target(f32s(&target)).with_eye_up([0.0, 0.0, 1.0])
 }
 
@@ -165,13 +171,7 @@ impl Book {
         Part { path: format!("{kind}/{id}"), number: self.parts }
     }
 
-    fn view(
-        &mut self,
-        class: &str,
-        name: &str,
-        origin: &str,
-        contents: &[&str],
-    ) -> rerun::RecordingStreamResult<Part> {
+    fn view(&mut self, class: &str, name: &str, origin: &str, contents: &[&str]) -> rerun::RecordingStreamResult<Part> {
         let part = self.part("view");
         let contents = contents.iter().map(|query| parts::QueryExpression((*query).into()));
         self.stream.log(format!("{}/ViewContents", part.path), &ViewContents::new(contents))?;

@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Vector3};
-use rerun::{
-    Clear, EncodedImage, LineStrips2D, LineStrips3D, Mesh3D, Points3D, Radius, Rgba32, Scalars, TextLog,
-};
+use rerun::components::PointShading;
+use rerun::{Clear, EncodedImage, LineStrips2D, LineStrips3D, Mesh3D, Points3D, Radius, Rgba32, Scalars, TextLog};
 
 use super::blueprint::{self, Layout};
 use super::scene::{self, placed, pose};
@@ -47,12 +46,12 @@ pub(super) struct HeightColours {
 }
 
 const RAMP: [[f32; 3]; 5] =
-    [[60.0, 70.0, 200.0], [40.0, 130.0, 220.0], [40.0, 180.0, 160.0], [120.0, 210.0, 80.0], [250.0, 230.0, 60.0]];
+    [[90.0, 80.0, 230.0], [50.0, 140.0, 240.0], [40.0, 190.0, 170.0], [120.0, 210.0, 80.0], [250.0, 230.0, 60.0]];
 
 impl HeightColours {
-    /// For what a finder with this range can see: METRO-I's 4.5 m give −0.22 m to 1.12 m.
+    /// For what a finder with this range can see: METRO-I's 4.5 m give −0.22 m to 0.9 m.
     pub(super) fn new(range_m_max: f64) -> Self {
-        Self { span_m: [-0.05 * range_m_max, 0.25 * range_m_max] }
+        Self { span_m: [-0.05 * range_m_max, 0.2 * range_m_max] }
     }
 
     /// The colour of a height [m].
@@ -85,14 +84,12 @@ impl Drawing {
     pub(super) fn new(start: &Start, colours: HeightColours) -> Self {
         let reach = start.rig.range_m_max;
         let around = [Vector3::new(-reach, -reach, 0.0), Vector3::new(reach, reach, 1.0)];
-        // A scene may stand on a plane without end, of which only a part is worth seeing.
-        let clipped = |[low, high]: [Vector3<f64>; 2]| [low.sup(&(around[0] * 3.0)), high.inf(&(around[1] * 3.0))];
         Self {
             scene: start.scene.iter().map(|(name, _, _)| name.clone()).collect(),
             rig: start.rig.clone(),
             layout: Layout {
                 image_px: [start.rig.camera.width as f32, start.rig.camera.height as f32],
-                bounds_m: scene::bounds(start).map_or(around, clipped),
+                bounds_m: scene::bounds(start).unwrap_or(around),
                 has_truth: !start.scene.is_empty(),
             },
             revision: 0,
@@ -165,7 +162,8 @@ impl Drawing {
             return Ok(());
         }
         let colours = places.iter().map(|p| self.colours.at(p[2]));
-        out.log("/world/points", &Points3D::new(&places).with_colors(colours).with_radii([Radius::new_ui_points(1.5)]))
+        let history = Points3D::new(&places).with_colors(colours).with_radii([Radius::new_ui_points(1.5)]);
+        out.log("/world/points", &history.with_point_shading(PointShading::Flat))
     }
 
     fn truth(&mut self, out: &Out, frame: &Frame, truth: &Truth) -> Result<()> {
@@ -198,7 +196,7 @@ impl Drawing {
             return Ok(());
         }
         let lifted = [from, &to].map(|p| f32s(&(p + Vector3::z() * PATH_LIFT_M)));
-        let piece = LineStrips3D::new([lifted]).with_colors([colour]).with_radii([Radius::new_ui_points(1.5)]);
+        let piece = LineStrips3D::new([lifted]).with_colors([colour]).with_radii([Radius::new_ui_points(1.0)]);
         self.paths.insert(which, to);
         out.log(format!("/path/{which}"), &piece)
     }
@@ -228,15 +226,25 @@ impl Drawing {
     }
 }
 
-/// The light from where it leaves the finder to where it was seen; nothing where its origin is not known.
+/// Vertices [m] and triangles.
+type Fan = (Vec<[f32; 3]>, Vec<[u32; 3]>);
+
+/// The sheet of light in the viewer.
 fn sheet(seen: &Profile<Robot>) -> Option<Mesh3D> {
-    if !seen.knows_laser_origin || seen.points.len() < 2 {
+    let (vertices, triangles) = sheet_of(seen)?;
+    let red = Rgba32::from_unmultiplied_rgba(255, 40, 30, 70);
+    Some(Mesh3D::new(vertices).with_triangle_indices(triangles).with_albedo_factor(red))
+}
+
+/// The light from where it leaves the finder to where it was seen; nothing where its origin is not known.
+fn sheet_of(seen: &Profile<Robot>) -> Option<Fan> {
+    if !seen.knows_laser_origin {
         return None;
     }
     let mut vertices = vec![f32s(&seen.sheet.origin.xyz)];
     let mut triangles = vec![];
     let mut before: Option<u16> = None;
-    for point in seen.points.iter().step_by(SHEET_COLUMNS).filter(|p| p.point.xyz.iter().all(|c| c.is_finite())) {
+    for point in seen.points.iter().filter(|p| p.point.xyz.iter().all(|c| c.is_finite())).step_by(SHEET_COLUMNS) {
         let index = vertices.len() as u32;
         vertices.push(f32s(&point.point.xyz));
         if before.is_some_and(|column| point.column.saturating_sub(column) <= GAP_COLUMNS) {
@@ -244,12 +252,16 @@ fn sheet(seen: &Profile<Robot>) -> Option<Mesh3D> {
         }
         before = Some(point.column);
     }
-    let red = Rgba32::from_unmultiplied_rgba(255, 40, 30, 70);
-    Some(Mesh3D::new(vertices).with_triangle_indices(triangles).with_albedo_factor(red))
+    (!triangles.is_empty()).then_some((vertices, triangles))
+}
+
+/// The line in the viewer.
+fn line_strips(line: &Line) -> LineStrips2D {
+    LineStrips2D::new(strips_of(line)).with_colors([[60, 255, 90]]).with_radii([Radius::new_ui_points(0.8)])
 }
 
 /// The line as strips that break where columns are missing; Rerun counts from the corner of the first pixel.
-fn line_strips(line: &Line) -> LineStrips2D {
+fn strips_of(line: &Line) -> Vec<Vec<[f32; 2]>> {
     let mut strips: Vec<Vec<[f32; 2]>> = vec![];
     let mut joined = false;
     for (column, peak) in line.columns.iter().enumerate() {
@@ -269,7 +281,7 @@ fn line_strips(line: &Line) -> LineStrips2D {
             *strip = vec![[u - 0.5, v], [u + 0.5, v]]; // a strip of one point would not be drawn
         }
     }
-    LineStrips2D::new(strips).with_colors([[60, 255, 90]]).with_radii([Radius::new_ui_points(0.8)])
+    strips
 }
 
 /// A JPEG whose brightness is the square root of the light, so that weak lines show.
@@ -283,4 +295,68 @@ fn encode(image: &Image) -> Result<Vec<u8>> {
     let done = encoder.encode(&shades, width, height, image::ExtendedColorType::L8);
     done.map_err(|e| Fault::new("camera image", e, "an image of at most 65535 x 65535 pixels"))?;
     Ok(jpeg)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Point, Sensor};
+    use crate::image::{Dropped, Peak};
+    use crate::points::profile;
+
+    fn line(rows: &[Option<f32>]) -> Line {
+        let peak = |v: &f32| Peak { v: *v, sigma: 0.1, level: 50.0 };
+        let columns = rows.iter().map(|v| v.as_ref().map(peak)).collect();
+        Line { height: 480, columns, dropped: Dropped::default() }
+    }
+
+    #[test]
+    fn heights_run_from_blue_over_green_to_yellow_and_stay_there() {
+        let colours = HeightColours { span_m: [0.0, 1.0] };
+        assert_eq!(colours.at(-5.0), colours.at(0.0));
+        assert_eq!(colours.at(5.0), colours.at(1.0));
+        let (low, middle, high) = (colours.at(0.0).to_array(), colours.at(0.6).to_array(), colours.at(1.0).to_array());
+        assert!(low[2] > low[0] && low[2] > low[1], "{low:?}");
+        assert!(middle[1] > middle[0] && middle[1] > middle[2], "{middle:?}");
+        assert!(high[0] > 200 && high[1] > 200 && high[2] < 100, "{high:?}");
+        let _ = colours.at(f32::NAN);
+    }
+
+    #[test]
+    fn strips_break_where_columns_are_missing() {
+        let seen = line(&[Some(1.0), Some(2.0), None, Some(f32::NAN), Some(7.0), None]);
+        let strips = strips_of(&seen);
+        // Half a pixel on, since the first pixel's centre is at 0.5 in the viewer; one column becomes a dash.
+        assert_eq!(strips, vec![vec![[0.5, 1.5], [1.5, 2.5]], vec![[4.0, 7.5], [5.0, 7.5]]]);
+    }
+
+    #[test]
+    fn the_sheet_has_a_gap_where_the_line_has_one() {
+        let mut rows = vec![Some(250.0); 512];
+        rows[200..300].fill(None);
+        let rig = Rig::metro_i();
+        let (mut seen, _) = profile(&rig, &line(&rows), Stamp(0), 0, 0).unwrap();
+        let (vertices, triangles) = sheet_of(&seen).unwrap();
+        assert_eq!(vertices.len(), 1 + 412usize.div_ceil(SHEET_COLUMNS));
+        assert_eq!(triangles.len(), vertices.len() - 1 - 2); // one less in each of two parts
+        assert!(triangles.iter().flatten().all(|index| (*index as usize) < vertices.len()));
+        let mirror = Point::<Sensor>::new(0.0, 0.0, 0.817230);
+        let origin = rig.robot_from_sensor(0).unwrap() * mirror;
+        assert!((Vector3::from(vertices[0]) - origin.xyz.cast::<f32>()).norm() < 1e-4);
+        seen.knows_laser_origin = false;
+        assert!(sheet_of(&seen).is_none());
+    }
+
+    #[test]
+    fn weak_light_is_lifted_and_full_light_is_white() {
+        let mut levels = vec![0; 64 * 64];
+        levels[..32 * 64].fill(127);
+        let jpeg = encode(&Image::new(64, 64, 127, levels).unwrap()).unwrap();
+        let seen = image::load_from_memory(&jpeg).unwrap().to_luma8();
+        assert_eq!((seen.width(), seen.height()), (64, 64));
+        assert!(seen.get_pixel(10, 5).0[0] > 250 && seen.get_pixel(10, 60).0[0] < 5);
+        let dim = encode(&Image::new(64, 64, 127, vec![8; 64 * 64]).unwrap()).unwrap();
+        let seen = image::load_from_memory(&dim).unwrap().to_luma8();
+        assert!((60..68).contains(&seen.get_pixel(30, 30).0[0])); // 255·√(8/127) = 64
+    }
 }

@@ -26,6 +26,7 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 use rerun::external::re_uri::ProxyUri;
+use rerun::log::ChunkBatcherConfig;
 use rerun::sink::{FileSink, FileSinkError, GrpcSink, LogSink};
 use rerun::{AsComponents, EntityPath, EntityPathPart, RecordingStream, RecordingStreamBuilder, TimeCell};
 use sha2::{Digest, Sha256};
@@ -46,6 +47,12 @@ const EPOCH_NS_MIN: i64 = 1_000_000_000_000_000_000;
 
 /// How long to wait for a viewer to take what is left.
 const FLUSH_S_MAX: u64 = 60;
+
+/// A file gets what was drawn at least this often, so that a killed run loses no more.
+const FILE_FLUSH_S: u64 = 5;
+
+/// A file gets what was drawn whenever it is this much.
+const FILE_FLUSH_BYTES: u64 = 8 << 20;
 
 /// Where the drawing goes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -145,7 +152,13 @@ impl Sink for RerunSink {
         let mut builder = RecordingStreamBuilder::new(APPLICATION).enabled(true);
         if !self.live {
             // A live viewer would mix two runs under one id; a file of the same run is always the same recording.
-            builder = builder.recording_id(recording_id(start));
+            // Few large chunks load far faster than many small ones, and nobody is waiting for them.
+            let config = ChunkBatcherConfig {
+                flush_tick: Duration::from_secs(FILE_FLUSH_S),
+                flush_num_bytes: FILE_FLUSH_BYTES,
+                ..ChunkBatcherConfig::DEFAULT
+            };
+            builder = builder.recording_id(recording_id(start)).batcher_config(config);
         }
         let stream = builder.send_properties(false).set_sinks(std::mem::take(&mut self.sinks)).map_err(rejected)?;
         stream.set_log_tick_enabled(false);
@@ -230,4 +243,217 @@ fn connect(url: &str) -> Result<GrpcSink> {
         }
     }
     Err(Fault::new("--connect", format!("{url} ({error})"), "a viewer that listens there"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+    use std::io::BufReader;
+    use std::sync::Arc;
+
+    use rerun::StoreKind;
+    use rerun::external::re_log_encoding::rrd::DecoderApp;
+    use rerun::log::{Chunk, LogMsg};
+
+    use super::*;
+    use crate::geometry::{Robot, Transform, World};
+    use crate::image::{Dropped, Image, Line, Peak};
+    use crate::maps::{MapChanges, PlanView, TerrainMesh};
+    use crate::optics::{Laser, PlaneLaser, Rig};
+    use crate::pipeline::Step;
+    use crate::points::profile;
+    use crate::sinks::Truth;
+    use crate::world::Mesh;
+
+    fn start() -> Start {
+        let corner = |x: f64, y: f64| Vector3::new(x, y, 0.0);
+        let vertices = vec![corner(-2.0, -2.0), corner(2.0, -2.0), corner(0.0, 2.0)];
+        let mesh = Arc::new(Mesh { vertices, triangles: vec![[0, 1, 2], [0, 1, 77]] });
+        Start {
+            name: "a name / with marks".into(),
+            rig: Rig::metro_i(),
+            scene: vec![
+                ("box/1 \u{fc}".into(), [200, 100, 50], mesh),
+                ("empty".into(), [0; 3], Arc::new(Mesh::default())),
+            ],
+            attachments: vec![],
+            metadata: vec![("seed".into(), "1".into())],
+        }
+    }
+
+    fn frame(start: &Start, id: u64) -> Frame {
+        let peak = Peak { v: 250.0, sigma: 0.1, level: 50.0 };
+        let line = Line { height: 480, columns: vec![Some(peak); 512], dropped: Dropped::default() };
+        let stamp = Stamp(id as i64 * 100_000_000);
+        let (seen, dropped) = profile(&start.rig, &line, stamp, 0, 0).unwrap();
+        let world_from_robot = Transform::<World, Robot>::planar(0.1 * id as f64, 0.0, 0.2);
+        let tile =
+            TerrainMesh { vertices: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.1]], triangles: vec![[0, 1, 2]] };
+        let plan =
+            PlanView { resolution_m: 0.1, origin_m: [0.0; 2], width: 2, height: 3, cells: vec![-1, 0, 100, 0, 0, -1] };
+        let maps = MapChanges {
+            voxel_m: 0.05,
+            blocks: vec![([0, -1, 2], vec![[0.1, 0.2, 0.3]]), ([5, 5, 5], vec![])],
+            tiles: vec![([0, -3], tile), ([1, 1], TerrainMesh::default())],
+            plan: Some(plan),
+        };
+        let moved = vec![(0, nalgebra::Isometry3::translation(0.1, 0.0, 0.0)), (99, nalgebra::Isometry3::identity())];
+        let step = Step {
+            id,
+            stamp,
+            cylinder_pulse: 0,
+            mirror_pulse: 0,
+            odom_from_robot: world_from_robot.iso.into(),
+            world_from_robot,
+            placed: seen.moved(&world_from_robot),
+            line,
+            seen,
+            dropped,
+        };
+        Frame {
+            step: Arc::new(step),
+            image: (id != 1).then(|| Arc::new(Image::new(512, 480, 127, vec![3; 512 * 480]).unwrap())),
+            truth: Some(Truth { world_from_robot, moved, point_rms_m: Some(0.004) }),
+            maps: (id == 2).then(|| Arc::new(maps)),
+            log: vec![("WARN", "something".into())],
+            dropped: Dropped::default(),
+        }
+    }
+
+    fn record(start: &Start, file: &Path) {
+        let mut sink = RerunSink::new(&[Target::Save(file.into())]).unwrap();
+        sink.begin(start).unwrap();
+        for id in 0..3 {
+            sink.step(&frame(start, id)).unwrap();
+        }
+        sink.finish(Stamp(0)).unwrap();
+    }
+
+    /// Rows of every entity, the timelines used, and the name of the recording.
+    fn read(file: &Path) -> (BTreeMap<String, usize>, BTreeSet<String>, String) {
+        let (mut rows, mut timelines, mut id) = (BTreeMap::new(), BTreeSet::new(), String::new());
+        for message in DecoderApp::decode_lazy(BufReader::new(std::fs::File::open(file).unwrap())) {
+            let LogMsg::ArrowMsg(store, arrow) = message.unwrap() else { continue };
+            let chunk = Chunk::from_arrow_msg(&arrow).unwrap();
+            let layout = if store.kind() == StoreKind::Blueprint { "layout:" } else { "" };
+            *rows.entry(format!("{layout}{}", chunk.entity_path())).or_insert(0) += chunk.num_rows();
+            timelines.extend(chunk.timelines().keys().map(|name| format!("{layout}{name}")));
+            id = store.recording_id().to_string();
+        }
+        (rows, timelines, id)
+    }
+
+    #[test]
+    fn a_file_holds_every_entity_on_the_runs_own_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("view.rrd");
+        record(&start(), &file);
+        assert_eq!(check_file(&file), Ok(()));
+        let (rows, timelines, _) = read(&file);
+        assert_eq!(timelines.iter().map(String::as_str).collect::<Vec<_>>(), ["layout:blueprint", "scan", "sim_time"]);
+        let expected = [
+            ("/world/robot", 3),
+            ("/world/robot/body", 1),
+            ("/world/robot/finder", 3),
+            ("/world/robot/laser", 3),
+            ("/world/profile", 3),
+            ("/world/points", 3),
+            ("/world/occupancy/0_-1_2", 1),
+            ("/world/occupancy/5_5_5", 1),
+            ("/world/terrain/0_-3", 1),
+            ("/path/estimated", 2),
+            ("/path/true", 2),
+            ("/plan", 1),
+            ("/camera/image", 3), // two images, and one cleared in between
+            ("/camera/image/line", 3),
+            ("/log", 3),
+            ("/about", 1),
+            ("layout:/viewport", 2),
+        ];
+        for (entity, count) in expected {
+            assert_eq!(rows.get(entity), Some(&count), "{entity} in {rows:?}");
+        }
+        for name in ["point_rms_mm", "pose_error_mm", "points", "dropped", "lost"] {
+            assert_eq!(rows.get(&format!("/metrics/{name}")), Some(&4), "{name}: its label and three values");
+        }
+        let body = entity(&["world", "scene", "box/1 \u{fc}"]).to_string();
+        assert_eq!(rows.get(&body), Some(&2), "{body}: the mesh, and one move: the next is the same");
+        let views = rows.keys().filter(|key| key.starts_with("layout:/view/") && key.ends_with("/ViewContents"));
+        assert_eq!(views.count(), 9, "{rows:?}");
+    }
+
+    #[test]
+    fn the_same_run_is_the_same_recording_and_another_seed_is_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let [a, b, c] = ["a", "b", "c"].map(|name| folder.path().join(format!("{name}.rrd")));
+        record(&start(), &a);
+        record(&start(), &b);
+        record(&Start { metadata: vec![("seed".into(), "2".into())], ..start() }, &c);
+        let [a, b, c] = [a, b, c].map(|file| read(&file).2);
+        assert_eq!(a, b);
+        assert_ne!(a, c);
+    }
+
+    #[test]
+    fn a_finder_with_a_fixed_plane_and_no_scene_is_drawn_without_a_robot() {
+        let laser = Laser::Plane(PlaneLaser { normal: [0.0, 1.0, 0.2], offset_m: 0.2, origin_m: None });
+        let start = Start { rig: Rig { laser, ..Rig::metro_i() }, scene: vec![], ..start() };
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("view.rrd");
+        record(&start, &file);
+        let (rows, _, _) = read(&file);
+        assert!(!rows.contains_key("/world/robot/body"), "{rows:?}");
+        assert!(rows.contains_key("/world/robot/finder/camera"), "{rows:?}");
+    }
+
+    #[test]
+    fn a_cut_or_damaged_file_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("view.rrd");
+        record(&start(), &file);
+        let whole = std::fs::read(&file).unwrap();
+        for cut in [10, whole.len() / 2, whole.len() - 1] {
+            std::fs::write(&file, &whole[..cut]).unwrap();
+            assert!(check_file(&file).unwrap_err().to_string().contains("cut off"), "{cut}");
+        }
+        let mut damaged = whole.clone();
+        damaged[60..100].fill(0xff);
+        std::fs::write(&file, &damaged).unwrap();
+        assert!(check_file(&file).is_err());
+    }
+
+    #[test]
+    fn targets_that_do_not_work_are_named() {
+        let fault = RerunSink::new(&[Target::Save("/nowhere/at/all.rrd".into())]).err().unwrap();
+        assert_eq!(fault.file.as_deref(), Some("/nowhere/at/all.rrd"));
+        let fault = RerunSink::new(&[Target::Connect("http:/nonsense".into())]).err().unwrap();
+        assert!(fault.found.contains("http:/nonsense"), "{fault}");
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let url = format!("rerun+http://{free}/proxy");
+        let fault = RerunSink::new(&[Target::Connect(url.clone())]).err().unwrap();
+        assert!(fault.found.contains(&url) && fault.expected.contains("listens"), "{fault}");
+        let mut unbegun = RerunSink::new(&[]).unwrap();
+        assert!(unbegun.step(&frame(&start(), 0)).is_err());
+        assert_eq!(unbegun.finish(Stamp(0)), Ok(()));
+    }
+
+    #[test]
+    fn a_live_viewer_and_a_file_get_the_same_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("view.rrd");
+        let mut sink = RerunSink::new(&[Target::Save(file.clone()), Target::Web { port: 0 }]).unwrap();
+        let url = sink.url().unwrap().to_string();
+        assert!(
+            url.starts_with("http://127.0.0.1:") && url.contains("?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A"),
+            "{url}"
+        );
+        let start = start();
+        sink.begin(&start).unwrap();
+        sink.step(&frame(&start, 0)).unwrap();
+        sink.finish(Stamp(0)).unwrap();
+        assert_eq!(read(&file).0.get("/world/robot"), Some(&1));
+        // The page outlives the run, for as long as the sink is there.
+        let page = url.split("/?").next().unwrap().trim_start_matches("http://");
+        assert!(std::net::TcpStream::connect(page).is_ok());
+    }
 }

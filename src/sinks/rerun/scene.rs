@@ -3,7 +3,9 @@
 use std::fmt::Write as _;
 
 use nalgebra::Vector3;
-use rerun::{Cylinders3D, FillMode, Mesh3D, Pinhole, SeriesLines, TextDocument, Transform3D, ViewCoordinates};
+use rerun::{
+    Cylinders3D, FillMode, LineStrips3D, Mesh3D, Pinhole, SeriesLines, TextDocument, Transform3D, ViewCoordinates,
+};
 
 use super::draw::HeightColours;
 use super::maps::vertex_normals;
@@ -33,11 +35,11 @@ pub(super) fn draw_start(out: &Out, start: &Start, colours: &HeightColours) -> R
     }
     draw_robot(out, &start.rig)?;
     let series = [
-        ("point_rms_mm", "points, RMS error [mm]", [255, 80, 60]),
-        ("pose_error_mm", "pose, position error [mm]", [90, 170, 255]),
-        ("points", "points in this capture", [120, 220, 120]),
-        ("dropped", "columns without a point", [230, 180, 60]),
-        ("lost", "data lost up to now", [255, 80, 60]),
+        ("point_rms_mm", "point RMS [mm]", [255, 80, 60]),
+        ("pose_error_mm", "pose error [mm]", [90, 170, 255]),
+        ("points", "points a capture", [120, 220, 120]),
+        ("dropped", "columns dropped", [230, 180, 60]),
+        ("lost", "lost in all", [255, 80, 60]),
     ];
     for (name, label, colour) in series {
         let line = SeriesLines::new().with_names([label]).with_colors([colour]).with_widths([1.5]);
@@ -69,16 +71,16 @@ fn body(mesh: &Mesh, [r, g, b]: [u8; 3]) -> Mesh3D {
 fn draw_robot(out: &Out, rig: &Rig) -> Result<()> {
     if let Laser::Mirror(mirror) = rig.laser {
         let height = 0.75 * mirror.mirror_m[2].max(0.1) as f32;
-        let column = (rig.sensor_from_camera.xyz().z as f32 - height).max(0.01);
         let base = Cylinders3D::from_lengths_and_radii([height], [BODY_RADIUS_M])
             .with_centers([[0.0, 0.0, height / 2.0]])
             .with_colors([[70, 90, 120]])
             .with_fill_mode(FillMode::Solid);
         out.log_static("/world/robot/body", &base)?;
-        let mast = Cylinders3D::from_lengths_and_radii([column], [0.1])
-            .with_centers([[0.0, 0.0, height + column / 2.0]])
-            .with_colors([[200, 205, 215]])
-            .with_fill_mode(FillMode::Solid);
+        // A post with an arm that holds the camera; the mirror is in the post.
+        let [x, y, z] = f32s(&rig.sensor_from_camera.xyz());
+        let post = vec![[0.0, 0.0, height], [0.0, 0.0, z]];
+        let arm = vec![[0.0, 0.0, z], [x, y, z]];
+        let mast = LineStrips3D::new([post, arm]).with_colors([[200, 205, 215]]).with_radii([0.06f32, 0.02]);
         out.log_static("/world/robot/finder/mast", &mast)?;
     }
     let camera = &rig.camera;
@@ -105,13 +107,17 @@ pub(super) fn placed(iso: &nalgebra::Isometry3<f64>) -> Transform3D {
     Transform3D::from_translation(f32s(&iso.translation.vector)).with_quaternion(quaternion)
 }
 
-/// The corners of the box around the scene, and nothing for an empty one.
+/// A body wider than this is ground that goes on and on: it says nothing about where to look [m].
+const GROUND_M_MIN: f64 = 40.0;
+
+/// The corners of the box around all bodies that are no endless ground, and nothing where there are none.
 pub(super) fn bounds(start: &Start) -> Option<[Vector3<f64>; 2]> {
-    let vertices = start.scene.iter().flat_map(|(_, _, mesh)| &mesh.vertices);
-    vertices.fold(None, |bounds: Option<[Vector3<f64>; 2]>, v| match bounds {
-        None => Some([*v, *v]),
-        Some([low, high]) => Some([low.inf(v), high.sup(v)]),
-    })
+    let boxes = start.scene.iter().filter_map(|(_, _, mesh)| {
+        let first = *mesh.vertices.first()?;
+        Some(mesh.vertices.iter().fold([first; 2], |[low, high], v| [low.inf(v), high.sup(v)]))
+    });
+    let boxes = boxes.filter(|[low, high]| (high - low).norm() < GROUND_M_MIN);
+    boxes.reduce(|[low, high], [l, h]| [low.inf(&l), high.sup(&h)])
 }
 
 fn about(start: &Start, colours: &HeightColours) -> String {
@@ -123,7 +129,7 @@ fn about(start: &Start, colours: &HeightColours) -> String {
          - **White path**: where the robot believes to have driven.{}\n\
          - **Plan view**: white is free, black occupied, grey-green unknown.\n\
          - **Camera**: brightness is the square root of the light; the line found is green.\n\
-         - Time runs below: drag it to go back. Tabs over the scene switch between world and map.\n",
+         - Time runs below: drag it to go back. Tabs over the scene show voxels and terrain.\n",
         start.name,
         start.rig.name,
         (low + high) / 2.0,

@@ -269,3 +269,94 @@ fn ends(file: &mut File, bytes: u64) -> io::Result<(Vec<u8>, Vec<u8>)> {
     file.take(StreamFooter::ENCODED_SIZE_BYTES as u64).read_to_end(&mut last)?;
     Ok((first, last))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file of this content; keep the directory as long as the file.
+    fn file(name: &str, content: &[u8]) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        (folder, path)
+    }
+
+    fn mcap() -> Vec<u8> {
+        [&MCAP_MAGIC[..], &[1; 100], MCAP_MAGIC].concat()
+    }
+
+    fn ask(address: SocketAddr, request: &str) -> String {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = vec![];
+        stream.read_to_end(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    #[test]
+    fn what_cannot_be_shown_is_refused_with_a_reason() {
+        let cases: [(&str, &[u8], &str); 6] = [
+            ("a.rrd", b"", "an empty file"),
+            ("a.txt", b"text", "a file named .txt"),
+            ("a.rrd", b"no recording at all, but long enough for one", "does not begin as one"),
+            ("a.rrd", b"RRF2", "cut off"),
+            ("a.mcap", b"\x89MCAP0\r\n", "cut off"),
+            ("a.mcap", &mcap()[..90], "cut off"),
+        ];
+        for (name, content, reason) in cases {
+            let (_folder, path) = file(name, content);
+            let fault = check_file(&path).unwrap_err();
+            assert!(fault.found.contains(reason), "{fault}");
+            assert!(fault.file.as_ref().is_some_and(|file| file.ends_with(name)), "{fault}");
+        }
+        let (folder, path) = file("a.mcap", &mcap());
+        assert_eq!(check_file(&path), Ok(()));
+        assert!(check_file(folder.path()).unwrap_err().found.contains("directory"));
+        assert_eq!(check_file(&folder.path().join("b.rrd")).unwrap_err().expected, "a file that exists");
+    }
+
+    #[test]
+    fn the_page_gets_the_file_and_nobody_else_does() {
+        let (_folder, path) = file("run 1.mcap", &mcap());
+        let server = FileServer::start(&path, 0, false).unwrap();
+        let (host, url) = (server.address.to_string(), server.url().to_string());
+        let origin = url.split("/?").next().unwrap().to_string();
+        assert!(url.ends_with("%2Frecording.mcap"), "{url}"); // a blank is not plain enough
+        let get = |path: &str, host: &str, origin: &str| {
+            ask(server.address, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nOrigin: {origin}\r\n\r\n"))
+        };
+        let answer = get("/recording.mcap", &host, &origin);
+        assert!(answer.starts_with("HTTP/1.1 200 OK\r\n"), "{answer}");
+        assert!(answer.contains(&format!("Content-Length: {}\r\n", mcap().len())), "{answer}");
+        assert!(answer.contains(&format!("Access-Control-Allow-Origin: {origin}\r\n")), "{answer}");
+        assert!(answer.ends_with(&*String::from_utf8_lossy(&mcap())));
+        assert!(get("/../../etc/hostname", &host, &origin).starts_with("HTTP/1.1 404"));
+        assert!(get("/recording.mcap", &host, "http://elsewhere.example").starts_with("HTTP/1.1 403"));
+        assert!(get("/recording.mcap", "elsewhere.example", &origin).starts_with("HTTP/1.1 403"));
+        assert!(ask(server.address, "\u{1}\r\n\r\n").starts_with("HTTP/1.1 403"));
+        assert!(ask(server.address, &"x".repeat(HEAD_BYTES_MAX + 4096)[..HEAD_BYTES_MAX]).starts_with("HTTP/1.1 400"));
+        let page: SocketAddr = origin.trim_start_matches("http://").parse().unwrap();
+        assert!(
+            ask(page, &format!("GET / HTTP/1.1\r\nHost: {page}\r\nConnection: close\r\n\r\n")).contains("re_viewer")
+        );
+    }
+
+    #[test]
+    fn a_taken_port_is_named_and_a_dropped_server_frees_its_own() {
+        let (_folder, path) = file("a.mcap", &mcap());
+        let server = FileServer::start(&path, 0, false).unwrap();
+        let port: u16 = server.page.origins()[1].rsplit(':').next().unwrap().parse().unwrap();
+        let fault = FileServer::start(&path, port, false).err().unwrap();
+        assert!(fault.to_string().contains(&port.to_string()), "{fault}");
+        let fault = Web::start(port).err().unwrap();
+        assert!(fault.to_string().contains(&port.to_string()), "{fault}");
+        drop(server);
+        // The page's listener goes a moment after its server.
+        let freed = |_: &u32| {
+            std::thread::sleep(Duration::from_millis(20));
+            FileServer::start(&path, port, false).is_ok()
+        };
+        assert!((0..200).any(|n| freed(&n)));
+    }
+}

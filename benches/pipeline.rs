@@ -1,0 +1,100 @@
+//! How fast the stages are, and how much the results weigh: `cargo bench`. Work per second is in the `thrpt` rows.
+
+use std::hint::black_box;
+use std::path::Path;
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use metromap::geometry::{Robot, Transform, World};
+use metromap::image::{Capture, Image, Reading};
+use metromap::line::Extractor;
+use metromap::maps::Maps;
+use metromap::optics::Rig;
+use metromap::pipeline::{Pipeline, PipelineParams};
+use metromap::points::profile;
+use metromap::scanner::Renderer;
+use metromap::sources::{Scenario, Simulation};
+use metromap::time::Stamp;
+use metromap::world::Surfaces;
+
+/// The lab, and a view of its floor with the ball, the table and the ramp in it.
+struct Lab {
+    scenario: Scenario,
+    surfaces: Surfaces,
+    renderer: Renderer,
+    pose: Transform<World, Robot>,
+    image: Image,
+}
+
+fn lab() -> Lab {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("worlds/lab.toml");
+    let scenario = Scenario::load(&path, &[]).expect("the lab loads");
+    let surfaces = Surfaces::new(&scenario.scene).expect("the lab has surfaces");
+    let renderer = Renderer::new(&scenario.rig, scenario.image, &scenario.scene).expect("the camera is possible");
+    let pose = Transform::planar(0.0, 0.6, std::f64::consts::FRAC_PI_2);
+    let beam_rad = scenario.rig.beam_rad(60).expect("a pulse within the travel");
+    let image = renderer.expose(&surfaces, &pose, 0.0, beam_rad, 1, 0).expect("an image").image;
+    Lab { scenario, surfaces, renderer, pose, image }
+}
+
+fn stages(criterion: &mut Criterion) {
+    let lab = lab();
+    let rig = Rig::metro_i();
+    let beam_rad = rig.beam_rad(60).expect("a pulse within the travel");
+    let mut extractor = Extractor::new(lab.scenario.pipeline.line).expect("parameters are possible");
+    let line = extractor.extract(&lab.image);
+    let (seen, _) = profile(&rig, &line, Stamp(0), 0, 60).expect("encoders within their travel");
+    let placed = seen.moved(&lab.pose);
+    eprintln!("one frame: {} bytes of image, {} columns with a line, {} points", lab.image.levels().len(), line.count(), placed.points.len());
+
+    let mut group = criterion.benchmark_group("stage");
+    group.throughput(Throughput::Elements(1));
+    group.bench_function("slit frame 512x480", |b| {
+        let mut frame = 0;
+        b.iter(|| {
+            frame += 1;
+            lab.renderer.expose(&lab.surfaces, &lab.pose, 0.0, black_box(beam_rad), 1, frame).expect("an image")
+        });
+    });
+    group.bench_function("line extraction 512x480", |b| b.iter(|| extractor.extract(black_box(&lab.image))));
+    group.bench_function("profile to points", |b| b.iter(|| profile(&rig, black_box(&line), Stamp(0), 0, 60)));
+    group.bench_function("map insert", |b| {
+        let mut maps = Maps::new(lab.scenario.pipeline.maps).expect("parameters are possible");
+        b.iter(|| maps.insert(black_box(&placed), &lab.pose));
+        let summary = maps.summary();
+        eprintln!("map of one profile: {} bytes, {} occupied, {} free", summary.occupancy.bytes, summary.occupancy.occupied, summary.occupancy.free);
+    });
+    group.bench_function("whole step: image to maps", |b| {
+        let mut pipeline = Pipeline::new(rig.clone(), PipelineParams::default()).expect("parameters are possible");
+        let mut id = 0;
+        b.iter(|| {
+            id += 1;
+            let capture = Capture {
+                id,
+                stamp: Stamp(id as i64),
+                cylinder_pulse: 0,
+                mirror_pulse: 60,
+                odom_from_robot: Transform::planar(0.0, 0.6, std::f64::consts::FRAC_PI_2),
+                reading: Reading::Image(lab.image.clone()),
+            };
+            pipeline.step(black_box(&capture)).map(|step| step.placed.points.len())
+        });
+    });
+    group.finish();
+}
+
+fn simulation(criterion: &mut Criterion) {
+    let lab = lab();
+    let mut group = criterion.benchmark_group("simulation");
+    group.sample_size(10);
+    group.throughput(Throughput::Elements(20));
+    group.bench_function("20 captures of the lab, physics and images", |b| {
+        b.iter(|| {
+            let mut simulation = Simulation::new(&lab.scenario).expect("the lab runs");
+            (0..20).filter_map(|_| simulation.next_shot().expect("a shot")).count()
+        });
+    });
+    group.finish();
+}
+
+criterion_group!(benches, stages, simulation);
+criterion_main!(benches);
