@@ -44,7 +44,12 @@ fn stages(criterion: &mut Criterion) {
     let line = extractor.extract(&lab.image);
     let (seen, _) = profile(&rig, &line, Stamp(0), 0, 60).expect("encoders within their travel");
     let placed = seen.moved(&lab.pose);
-    eprintln!("one frame: {} bytes of image, {} columns with a line, {} points", lab.image.levels().len(), line.count(), placed.points.len());
+    eprintln!(
+        "one frame: {} bytes of image, {} columns with a line, {} points",
+        lab.image.levels().len(),
+        line.count(),
+        placed.points.len()
+    );
 
     let mut group = criterion.benchmark_group("stage");
     group.throughput(Throughput::Elements(1));
@@ -61,7 +66,10 @@ fn stages(criterion: &mut Criterion) {
         let mut maps = Maps::new(lab.scenario.pipeline.maps).expect("parameters are possible");
         b.iter(|| maps.insert(black_box(&placed), &lab.pose));
         let summary = maps.summary();
-        eprintln!("map of one profile: {} bytes, {} occupied, {} free", summary.occupancy.bytes, summary.occupancy.occupied, summary.occupancy.free);
+        eprintln!(
+            "map of one profile: {} bytes, {} occupied, {} free",
+            summary.occupancy.bytes, summary.occupancy.occupied, summary.occupancy.free
+        );
     });
     group.bench_function("whole step: image to maps", |b| {
         let mut pipeline = Pipeline::new(rig.clone(), PipelineParams::default()).expect("parameters are possible");

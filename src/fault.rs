@@ -23,7 +23,13 @@ pub type Result<T, E = Fault> = std::result::Result<T, E>;
 impl Fault {
     /// `what` holds `found`, where `expected` should be.
     pub fn new(what: impl fmt::Display, found: impl fmt::Display, expected: impl fmt::Display) -> Self {
-        Self { file: None, line: None, what: what.to_string(), found: found.to_string(), expected: expected.to_string() }
+        Self {
+            file: None,
+            line: None,
+            what: what.to_string(),
+            found: found.to_string(),
+            expected: expected.to_string(),
+        }
     }
 
     /// Names the file, unless an inner layer already did.

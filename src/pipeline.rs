@@ -77,9 +77,8 @@ impl Pipeline {
     pub fn step(&mut self, capture: &Capture) -> Result<Step, (Drop, Fault)> {
         self.admit(capture)?;
         let line = self.line(&capture.reading);
-        let (seen, no_point) =
-            profile(&self.rig, &line, capture.stamp, capture.cylinder_pulse, capture.mirror_pulse)
-                .map_err(|fault| (Drop::EncoderOutOfRange, fault))?;
+        let (seen, no_point) = profile(&self.rig, &line, capture.stamp, capture.cylinder_pulse, capture.mirror_pulse)
+            .map_err(|fault| (Drop::EncoderOutOfRange, fault))?;
         let world_from_robot = self.world_from_odom() * capture.odom_from_robot;
         let placed = seen.moved(&world_from_robot);
         let unmapped = self.maps.insert(&placed, &world_from_robot);

@@ -54,7 +54,8 @@ fn number(value: &Value, keys: &str) -> f64 {
 #[test]
 fn the_lab_is_mapped_well_with_perfect_odometry() {
     let dir = TempDir::new().unwrap();
-    let run = json(metromap(&["run", "worlds/lab.toml", "--odometry", "perfect", "--json", "--out", &path(&dir, "lab")]));
+    let run =
+        json(metromap(&["run", "worlds/lab.toml", "--odometry", "perfect", "--json", "--out", &path(&dir, "lab")]));
     assert!(number(&run, "travel_m") >= 10.0, "{run}");
     assert!(number(&run, "points") >= 100_000.0, "{run}");
     assert!(number(&run, "terrain.area_m2") >= 30.0, "{run}");
@@ -80,7 +81,8 @@ fn the_same_seed_gives_the_same_bits_and_the_recording_maps_to_them() {
     let dir = TempDir::new().unwrap();
     let run = |seed: &str, name: &str, threads: &str| {
         let out = path(&dir, name);
-        let mut command = metromap(&["run", "worlds/lab.toml", "--seed", seed, "--duration-s", "15", "--json", "--out", &out]);
+        let mut command =
+            metromap(&["run", "worlds/lab.toml", "--seed", seed, "--duration-s", "15", "--json", "--out", &out]);
         command.args(["--images", "all"]).env("RAYON_NUM_THREADS", threads);
         json(command)["digest"].as_str().unwrap().to_string()
     };
@@ -167,8 +169,16 @@ fn bad_scenarios_are_answered_with_file_line_found_and_expected() {
         ("NaN pose", a_box("position = [nan, 0]\nsize = [1, 1, 1]"), vec!["bad.toml:", "position", "NaN"]),
         ("missing mesh", mesh("nowhere.obj"), vec!["nowhere.obj"]),
         ("empty mesh", mesh("empty.obj"), vec!["empty.obj", "0 triangles"]),
-        ("in a wall", a_box("position = [0, 0]\nsize = [1, 1, 1]") + "\n[robot]\nstart = { x_m = 0, y_m = 0, yaw_deg = 0 }\n", vec!["crate"]),
-        ("wrong type", format!("{head}duration_s = \"long\"\n").replace("[world]\nground = true\n\n", ""), vec!["bad.toml:"]),
+        (
+            "in a wall",
+            a_box("position = [0, 0]\nsize = [1, 1, 1]") + "\n[robot]\nstart = { x_m = 0, y_m = 0, yaw_deg = 0 }\n",
+            vec!["crate"],
+        ),
+        (
+            "wrong type",
+            format!("{head}duration_s = \"long\"\n").replace("[world]\nground = true\n\n", ""),
+            vec!["bad.toml:"],
+        ),
         ("cut off", "name = \"bad".to_string(), vec!["bad.toml:1"]),
         ("empty", String::new(), vec!["bad.toml", "name"]),
     ];
@@ -187,7 +197,8 @@ fn an_sdf_world_that_includes_itself_is_refused() {
     let model = dir.path().join("models/loop");
     fs::create_dir_all(&model).unwrap();
     let include = "<include><uri>model://loop</uri></include>";
-    fs::write(model.join("model.sdf"), format!("<sdf version='1.6'><model name='loop'>{include}</model></sdf>")).unwrap();
+    fs::write(model.join("model.sdf"), format!("<sdf version='1.6'><model name='loop'>{include}</model></sdf>"))
+        .unwrap();
     let world = dir.path().join("loop.world");
     fs::write(&world, format!("<sdf version='1.6'><world name='w'>{include}</world></sdf>")).unwrap();
     let output = done(metromap(&["run", &world.to_string_lossy()]));
@@ -240,7 +251,8 @@ fn a_gazebo_house_and_a_warehouse_and_barn_are_mapped_as_they_lie() {
         let Some(world) = data(world) else { return };
         let dir = TempDir::new().unwrap();
         let out = path(&dir, "o");
-        let mut command = metromap(&["run", &world.to_string_lossy(), "--odometry", "perfect", "--json", "--out", &out]);
+        let mut command =
+            metromap(&["run", &world.to_string_lossy(), "--odometry", "perfect", "--json", "--out", &out]);
         command.args(&args);
         let run = json(command);
         for key in ["occupancy_precision", "occupancy_recall"] {
@@ -249,5 +261,14 @@ fn a_gazebo_house_and_a_warehouse_and_barn_are_mapped_as_they_lie() {
             }
         }
         assert!(run["truth"]["objects"].as_object().unwrap().len() >= bodies_min, "{}: {run}", world.display());
+    }
+}
+
+#[test]
+fn the_recordings_of_the_repository_are_mapped() {
+    for (name, points_min) in [("lab_first_turn.mcap", 100_000.0), ("corridor_no_images.mcap", 50_000.0)] {
+        let dir = TempDir::new().unwrap();
+        let map = json(metromap(&["map", &format!("recordings/{name}"), "--json", "--out", &path(&dir, "map")]));
+        assert!(number(&map, "points") >= points_min, "{name}: {map}");
     }
 }

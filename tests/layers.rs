@@ -11,8 +11,12 @@ const FUNCTION_LINES_MAX: usize = 80;
 const TRUTH: [&str; 4] = ["world", "robot", "scanner", "sonar"];
 const BEHIND_THE_BARRIER: [&str; 6] = ["line", "points", "calibration", "maps", "navigation", "pipeline"];
 /// Crates that only one place may name.
-const ONE_PLACE: [(&str, &str); 4] =
-    [("rapier3d", "world/physics.rs"), ("spade", "maps/terrain.rs"), ("rerun", "sinks/rerun"), ("mcap", "record/bag.rs")];
+const ONE_PLACE: [(&str, &str); 4] = [
+    ("rapier3d", "world/physics.rs"),
+    ("spade", "maps/terrain.rs"),
+    ("rerun", "sinks/rerun"),
+    ("mcap", "record/bag.rs"),
+];
 
 fn sources(dir: &Path, out: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(dir).unwrap() {
@@ -64,7 +68,9 @@ fn rooms_named(line: &str) -> Vec<String> {
             let rest = &code[at + prefix.len()..];
             if let Some(group) = rest.strip_prefix('{') {
                 let inner = group.split('}').next().unwrap_or_default();
-                rooms.extend(inner.split(',').map(|part| part.trim().split("::").next().unwrap_or_default().to_string()));
+                rooms.extend(
+                    inner.split(',').map(|part| part.trim().split("::").next().unwrap_or_default().to_string()),
+                );
             } else {
                 rooms.push(rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect());
             }
@@ -110,7 +116,9 @@ fn big_libraries_are_named_in_one_place() {
             let named = code.iter().any(|l| {
                 let l = l.split("//").next().unwrap_or_default();
                 // Not a path of our own such as `crate::sinks::rerun::`.
-                l.match_indices(&format!("{library}::")).any(|(at, _)| !l[..at].ends_with("::") && !l[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_'))
+                l.match_indices(&format!("{library}::")).any(|(at, _)| {
+                    !l[..at].ends_with("::") && !l[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_')
+                })
             });
             if named && !file.starts_with(place) {
                 wrong.push(format!("{file} names {library}, which belongs in {place}"));

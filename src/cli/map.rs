@@ -118,7 +118,8 @@ fn open_recording(options: &Options) -> Result<Input> {
     let replay = Replay::open(&options.input, options.from == From::Images)?;
     let attached = |name: &str| -> Result<Option<String>> {
         let Some(bytes) = replay.attachment(name) else { return Ok(None) };
-        let wrong = |_| Fault::new(format!("attachment {name}"), "bytes that are not UTF-8", "UTF-8").in_file(&options.input);
+        let wrong =
+            |_| Fault::new(format!("attachment {name}"), "bytes that are not UTF-8", "UTF-8").in_file(&options.input);
         String::from_utf8(bytes.to_vec()).map(Some).map_err(wrong)
     };
     let rig = match (&options.rig, attached("rig.toml")?) {
@@ -146,7 +147,7 @@ fn open_recording(options: &Options) -> Result<Input> {
 fn open_folder(options: &Options) -> Result<Input> {
     let rig_path = options.rig.clone().unwrap_or_else(|| options.input.join("rig.toml"));
     let file = rig_file::load(&rig_path)?;
-    let params = PipelineParams { line: file.line, ..PipelineParams::default() };
+    let params = PipelineParams { line: file.line, maps: file.maps };
     let folder = ImageFolder::open(&options.input, &file)?;
     let name = options.input.canonicalize().ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
     Ok(Input {

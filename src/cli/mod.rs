@@ -24,8 +24,12 @@ pub enum Exit {
 
 /// Maps for mobile robots from a laser-slit range finder: simulated, recorded or real.
 #[derive(Debug, Parser)]
-#[command(version, about, after_help = "Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but data was lost (and counted).\n\
-    Without a command: `metromap run worlds/lab.toml`.")]
+#[command(
+    version,
+    about,
+    after_help = "Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but data was lost (and counted).\n\
+    Without a command: `metromap run worlds/lab.toml`."
+)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]

@@ -136,7 +136,13 @@ fn apply(options: &Options, scenario: &mut Scenario) -> Result<()> {
         [x_m, y_m, yaw_deg] if options.start.iter().all(|v| v.is_finite()) => {
             scenario.place_robot(x_m, y_m, yaw_deg);
         }
-        _ => return Err(Fault::new("--start", format!("{:?}", options.start), "three numbers: x, y [m], yaw [degrees]")),
+        _ => {
+            return Err(Fault::new(
+                "--start",
+                format!("{:?}", options.start),
+                "three numbers: x, y [m], yaw [degrees]",
+            ));
+        }
     }
     if !options.goals.is_empty() {
         let mut goals = Vec::new();

@@ -83,10 +83,7 @@ impl Summary {
             travel_m: session.travelled.metres(),
             collisions,
             occupancy: maps.occupancy,
-            terrain: Terrain {
-                mesh: maps.terrain,
-                area_m2: ground.cells.len() as f64 * ground.cell_m * ground.cell_m,
-            },
+            terrain: Terrain { mesh: maps.terrain, area_m2: ground.cells.len() as f64 * ground.cell_m * ground.cell_m },
             truth,
             absent: Vec::new(),
             digest: session.pipeline.maps().digest(),

@@ -189,7 +189,16 @@ impl<To, From> PartialEq for Transform<To, From> {
 impl<To, From> fmt::Debug for Transform<To, From> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let p = self.xyz();
-        write!(f, "{}_from_{}([{}, {}, {}], {:?})", short_name::<To>(), short_name::<From>(), p.x, p.y, p.z, self.quaternion())
+        write!(
+            f,
+            "{}_from_{}([{}, {}, {}], {:?})",
+            short_name::<To>(),
+            short_name::<From>(),
+            p.x,
+            p.y,
+            p.z,
+            self.quaternion()
+        )
     }
 }
 

@@ -54,7 +54,13 @@ impl Drop {
     pub fn is_loss(self) -> bool {
         matches!(
             self,
-            Self::EncoderOutOfRange | Self::TimeWentBack | Self::SameTime | Self::BadPose | Self::WrongSize | Self::MapFull | Self::Unreadable
+            Self::EncoderOutOfRange
+                | Self::TimeWentBack
+                | Self::SameTime
+                | Self::BadPose
+                | Self::WrongSize
+                | Self::MapFull
+                | Self::Unreadable
         )
     }
 }

@@ -145,10 +145,9 @@ impl Rig {
         positive("range_m_max", self.range_m_max)?;
         number_within("beam_sigma_rad", self.beam_sigma_rad, 0.0, 1.0)?;
         number_within("cylinder_sigma_rad", self.cylinder_sigma_rad, 0.0, 1.0)?;
-        for (what, finite) in [
-            ("mount", self.sensor_from_camera.is_finite()),
-            ("finder", self.robot_from_finder.is_finite()),
-        ] {
+        for (what, finite) in
+            [("mount", self.sensor_from_camera.is_finite()), ("finder", self.robot_from_finder.is_finite())]
+        {
             if !finite {
                 return Err(Fault::new(what, "a pose that is not finite", "finite numbers"));
             }

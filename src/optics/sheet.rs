@@ -50,7 +50,13 @@ pub struct Sheet {
 impl Default for Sheet {
     /// METRO-I with lm = 15 mm and the corrected optics of `paper.md` 5.2: 3.668 m wide at 3 m, θ2 = 31.39°.
     fn default() -> Self {
-        Self { wavelength_m: 632.8e-9, power_w: 7e-3, width_at_origin_m: 5.895e-3, width_per_m: 1.2205, waist_m: 0.4e-3 }
+        Self {
+            wavelength_m: 632.8e-9,
+            power_w: 7e-3,
+            width_at_origin_m: 5.895e-3,
+            width_per_m: 1.2205,
+            waist_m: 0.4e-3,
+        }
     }
 }
 

@@ -188,7 +188,8 @@ mod tests {
             let v = rig.camera.cy + rig.camera.fy * ideal_v; // without distortion, as in instrument.md
             let mut ideal = rig.clone();
             ideal.camera.distortion = crate::optics::Distortion::Pinhole;
-            let by = |sigma: Uncertainty| triangulate(&ideal, &sheet, 256.0, v, &sigma).unwrap().covariance.m11.sqrt() * 1e3;
+            let by =
+                |sigma: Uncertainty| triangulate(&ideal, &sheet, 256.0, v, &sigma).unwrap().covariance.m11.sqrt() * 1e3;
             let per_px = by(Uncertainty { v_px: 1.0, ..EXACT });
             let per_pulse = by(Uncertainty { beam_rad: std::f64::consts::TAU / 4000.0, ..EXACT });
             assert!((per_px - mm_per_px).abs() < 0.06, "{per_px} mm/px at {x_foot_m} m");

@@ -27,7 +27,7 @@
 //! offset_m = 0.166
 //! ```
 //!
-//! May be left out: `[sheet]`, `[cylinder]` (an axis), `[finder]` (position_m, rotation on the robot), `[images]`, `[line]`.
+//! May be left out: `[sheet]`, `[cylinder]` (an axis), `[finder]` (position_m, rotation on the robot), `[images]`, `[line]`, `[maps]`.
 
 use std::path::{Path, PathBuf};
 
@@ -38,6 +38,7 @@ use super::images::ImagesSpec;
 use crate::fault::{Fault, Result, number_within};
 use crate::geometry::Transform;
 use crate::line::LineParams;
+use crate::maps::MapParams;
 use crate::optics::{Axis, Camera, Distortion, Laser, Rig, Sheet};
 
 /// The version of the format that is written, and the newest one that is read.
@@ -56,6 +57,8 @@ pub struct RigFile {
     pub images: Option<ImagesSpec>,
     /// How its line is found.
     pub line: LineParams,
+    /// How its maps are made.
+    pub maps: MapParams,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -81,6 +84,7 @@ struct Document {
     images: Option<ImagesSpec>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     line: Option<LineParams>,
+    maps: Option<MapParams>,
 }
 
 fn still() -> Axis {
@@ -181,6 +185,7 @@ pub fn to_toml(rig: &Rig) -> String {
         finder: Some(stored(rig.robot_from_finder.xyz(), rig.robot_from_finder.quaternion())),
         images: None,
         line: None,
+        maps: None,
     };
     // Strings, numbers and tables of them: there is nothing in a rig that TOML cannot hold.
     toml::to_string(&document).unwrap_or_default()
@@ -240,7 +245,8 @@ fn assembled(document: Document, path: &Path) -> Result<RigFile> {
     };
     let images = document.images.map(ImagesSpec::validated).transpose()?;
     let line = document.line.unwrap_or_default().validated()?;
-    Ok(RigFile { path: path.to_path_buf(), rig: rig.validated()?, images, line })
+    let maps = document.maps.unwrap_or_default().validated()?;
+    Ok(RigFile { path: path.to_path_buf(), rig: rig.validated()?, images, line, maps })
 }
 
 impl CameraTable {

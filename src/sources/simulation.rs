@@ -15,12 +15,14 @@ use crate::optics::{Laser, Rig};
 use crate::robot::{BodyCommand, Drive, Odometry, RobotParams};
 use crate::scanner::{Head, Renderer, Schedule, Shot as Trigger, Sweep, SweepParams, TrueSight};
 use crate::time::Stamp;
-use crate::world::{Mesh, Motion, Physics, Scene, Surfaces};
+use crate::world::{Body, Mesh, Motion, Physics, Scene, Shape, Surfaces};
 
 /// The follower's plan view is made anew this often [s].
 const PLAN_EVERY_S: f64 = 0.5;
-/// Half the side of endless planes in pictures [m].
-const PICTURE_HALF_M: f64 = 8.0;
+/// In pictures an endless plane reaches this far beyond everything else [m] ...
+const PICTURE_MARGIN_M: f64 = 0.5;
+/// ... but in an empty world or around far-away things it has this half side at least and at most [m].
+const PICTURE_HALF_M: [f64; 2] = [4.0, 30.0];
 /// How far around the origin a free start is looked for where none was given [m].
 const START_SEARCH_M: f64 = 5.0;
 /// A robot that leans more than this has tipped over: the run ends [rad].
@@ -154,7 +156,8 @@ impl Simulation {
         self.physics.step(self.drive.rolling())?;
         self.odometry.advance(self.drive.as_ref(), &motion, &self.physics.robot_pose())?;
         if self.physics.tilt_rad() > TIPPED_RAD {
-            let found = format!("a lean of {:.0}° at {:.1} s", self.physics.tilt_rad().to_degrees(), self.physics.elapsed_s());
+            let found =
+                format!("a lean of {:.0}° at {:.1} s", self.physics.tilt_rad().to_degrees(), self.physics.elapsed_s());
             return Err(Fault::new("robot", found, "a robot that stands: it has tipped over"));
         }
         Ok(self.sweep.advance(&mut self.head, dt_s))
@@ -239,13 +242,18 @@ impl Simulation {
 
     /// All bodies as meshes in the world, for pictures.
     pub fn pictures(&self) -> Vec<(String, [u8; 3], Arc<Mesh>)> {
-        let picture = |body: &crate::world::Body| {
-            let mut mesh = body.shape.tessellate(PICTURE_HALF_M);
+        let placed = |body: &Body, plane_half_m: f64| {
+            let mut mesh = body.shape.tessellate(plane_half_m);
             for vertex in &mut mesh.vertices {
                 *vertex = (body.pose * Point3::from(*vertex)).coords;
             }
-            (body.name.clone(), body.material.colour, Arc::new(mesh))
+            mesh
         };
+        let bounded = self.scene.bodies.iter().filter(|body| body.shape != Shape::Plane);
+        let corners = bounded.flat_map(|body| placed(body, 0.0).vertices);
+        let reach_m = corners.fold(0.0, |reach: f64, v| reach.max(v.x.abs()).max(v.y.abs())) + PICTURE_MARGIN_M;
+        let plane_half_m = reach_m.clamp(PICTURE_HALF_M[0], PICTURE_HALF_M[1]);
+        let picture = |body: &Body| (body.name.clone(), body.material.colour, Arc::new(placed(body, plane_half_m)));
         self.scene.bodies.iter().map(picture).collect()
     }
 }
@@ -262,7 +270,9 @@ fn place(scenario: &Scenario, notes: &mut Vec<String>) -> Result<(Physics, (f64,
         Err(fault) => {
             for (x, y) in spiral() {
                 if let Ok(physics) = at(x, y) {
-                    notes.push(format!("no start was given, and the origin is not free ({fault}): use --start to choose one"));
+                    notes.push(format!(
+                        "no start was given, and the origin is not free ({fault}): use --start to choose one"
+                    ));
                     return Ok((physics, (x, y, yaw)));
                 }
             }

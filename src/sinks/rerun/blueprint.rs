@@ -4,18 +4,22 @@
 //! Ids within the layout are fixed, so that the layouts of all runs are alike.
 
 use nalgebra::Vector3;
+use rerun::external::re_log_encoding::rrd::Encoder;
 use rerun::external::re_log_types::BlueprintActivationCommand;
 use rerun::external::re_sdk_types::blueprint::archetypes::{
-    ContainerBlueprint, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend, TextLogColumns, TimeAxis,
-    TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualBounds2D,
+    ContainerBlueprint, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend, SpatialInformation, TextLogColumns,
+    TimeAxis, TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualBounds2D,
 };
 use rerun::external::re_sdk_types::blueprint::components as parts;
 use rerun::external::re_sdk_types::blueprint::datatypes::{TextLogColumn, TextLogColumnKind};
 use rerun::external::re_sdk_types::datatypes;
-use rerun::{AsComponents, RecordingStream, RecordingStreamBuilder};
+use rerun::log::LogMsg;
+use rerun::{ApplicationId, AsComponents, RecordingStream, RecordingStreamBuilder, RecordingStreamResult};
 
 use super::{APPLICATION, Out, f32s};
 use crate::fault::{Fault, Result};
+use crate::geometry::{Frame, World};
+use crate::record::topics;
 
 /// What the layout depends on.
 #[derive(Clone, Debug)]
@@ -32,7 +36,13 @@ pub(super) struct Layout {
 const HALF_FOV_RAD: f64 = 0.48;
 
 /// Entities whose whole past is shown, not only their latest row.
-const HISTORIES: [&str; 3] = ["world/points", "path/estimated", "path/true"];
+const HISTORIES: [&str; 3] = ["/world/points", "/path/estimated", "/path/true"];
+
+/// The timelines of what this crate draws.
+const TIMES: [&str; 2] = ["sim_time", "scan"];
+
+/// The timelines that the viewer gives an MCAP recording.
+const RECORDING_TIMES: [&str; 2] = ["message_log_time", "message_publish_time"];
 
 /// Logs parts of one layout and numbers them.
 struct Book {
@@ -48,26 +58,67 @@ struct Part {
 
 /// Sends the layout down the stream, to be used at once and from then on.
 pub(super) fn send(out: &Out, layout: &Layout, revision: i64) -> Result<()> {
-    let rejected = |e: rerun::RecordingStreamError| Fault::new("the viewer's layout", e, "a working Rerun stream");
     let info = out.0.store_info().ok_or_else(|| Fault::new("the viewer's layout", "no stream", "a stream"))?;
-    let builder = RecordingStreamBuilder::new(APPLICATION).enabled(true).blueprint();
-    let (stream, stored) = builder.recording_id(info.store_id.recording_id().clone()).memory().map_err(rejected)?;
-    stream.set_log_tick_enabled(false);
-    stream.set_log_time_enabled(false);
-    stream.set_time_sequence("blueprint", revision);
-    write(&mut Book { stream, parts: 0 }, layout).map_err(rejected)?;
-    let messages = stored.take();
+    let id = info.store_id.recording_id().to_string();
+    let messages = messages(APPLICATION, &id, revision, |book| write(book, layout))?;
     let Some(first) = messages.first() else { return Ok(()) };
     let activation = BlueprintActivationCommand::make_active(first.store_id().clone());
     out.0.send_blueprint(messages, activation);
     Ok(())
 }
 
-fn write(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<()> {
+/// The layout for a recording that the viewer opens under this application id, as the bytes of an `.rbl` file.
+///
+/// Without it the viewer makes a view for every topic, and none of them finds the frame `map`.
+pub(super) fn of_recording(application: &str) -> Result<Vec<u8>> {
+    let mut messages = messages(application, "recording", 0, write_recording)?;
+    if let Some(first) = messages.first() {
+        messages.push(BlueprintActivationCommand::make_active(first.store_id().clone()).into());
+    }
+    Encoder::encode(messages.into_iter().map(Ok)).map_err(|e| rejected(&e))
+}
+
+/// What a layout is made of, in one store of its own.
+fn messages(
+    application: &str,
+    id: &str,
+    revision: i64,
+    write: impl FnOnce(&mut Book) -> RecordingStreamResult<()>,
+) -> Result<Vec<LogMsg>> {
+    let builder = RecordingStreamBuilder::new(ApplicationId::new_or_unknown(application))
+        .enabled(true)
+        .blueprint()
+        .recording_id(id);
+    let (stream, stored) = builder.memory().map_err(|e| rejected(&e))?;
+    stream.set_log_tick_enabled(false);
+    stream.set_log_time_enabled(false);
+    stream.set_time_sequence("blueprint", revision);
+    write(&mut Book { stream, parts: 0 }).map_err(|e| rejected(&e))?;
+    Ok(stored.take())
+}
+
+fn rejected(error: &dyn std::fmt::Display) -> Fault {
+    Fault::new("the viewer's layout", error, "a working Rerun stream")
+}
+
+/// The views of an MCAP recording: its topics in the frame `map`.
+fn write_recording(book: &mut Book) -> RecordingStreamResult<()> {
+    let world = book.view("3D", "World", "/", &["/**", &format!("- {}", topics::SCAN)])?;
+    book.set(&world, "SpatialInformation", &SpatialInformation::new(World::NAME))?;
+    book.whole_past(&world, &[topics::POINTS], &RECORDING_TIMES)?;
+    let camera = book.view("2D", "Camera", topics::IMAGE, &["$origin/**"])?;
+    let log = book.view("TextLog", "Log", "/", &[topics::LOG])?;
+    let column = book.container(parts::ContainerKind::Vertical, &[camera, log], &[3.0, 2.0])?;
+    let root = book.container(parts::ContainerKind::Horizontal, &[world, column], &[5.0, 3.0])?;
+    book.finish(&root, RECORDING_TIMES[0])
+}
+
+fn write(book: &mut Book, layout: &Layout) -> RecordingStreamResult<()> {
     let world = world_view(book, layout)?;
-    let voxels = map_view(book, layout, "Voxels", "/world/occupancy/**")?;
-    let terrain = map_view(book, layout, "Terrain", "/world/terrain/**")?;
-    let scenes = book.container(parts::ContainerKind::Tabs, &[world, voxels, terrain], &[])?;
+    let voxels = map_view(book, layout, "Occupancy: voxels", "/world/occupancy/**")?;
+    let terrain = map_view(book, layout, "Terrain: mesh of the ground", "/world/terrain/**")?;
+    let maps = book.container(parts::ContainerKind::Horizontal, &[voxels, terrain], &[1.0, 1.0])?;
+    let scenes = book.container(parts::ContainerKind::Vertical, &[world, maps], &[3.0, 2.0])?;
     let camera = camera_view(book, layout)?;
     let plan = plan_view(book, layout)?;
     let mut plots = vec![];
@@ -85,40 +136,28 @@ fn write(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<()> {
     let column =
         book.container(parts::ContainerKind::Vertical, &[camera, plan, plots, words], &[3.0, 3.0, 2.0, 2.0])?;
     let root = book.container(parts::ContainerKind::Horizontal, &[scenes, column], &[5.0, 3.0])?;
-    let viewport = ViewportBlueprint::new()
-        .with_root_container(parts::RootContainer(datatypes::Uuid { bytes: uuid_bytes(root.number) }))
-        .with_auto_layout(false)
-        .with_auto_views(false);
-    book.stream.log("viewport", &viewport)?;
-    for panel in ["blueprint_panel", "selection_panel"] {
-        book.stream.log(panel, &PanelBlueprint::new().with_state(parts::PanelState::Collapsed))?;
-    }
-    let time = TimePanelBlueprint::new()
-        .with_state(parts::PanelState::Collapsed)
-        .with_timeline("sim_time")
-        .with_play_state(parts::PlayState::Following);
-    book.stream.log("time_panel", &time)
+    book.finish(&root, TIMES[0])
 }
 
 /// The true scene, the robot, and the points it has seen.
-fn world_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<Part> {
+fn world_view(book: &mut Book, layout: &Layout) -> RecordingStreamResult<Part> {
     let name = if layout.has_truth { "World: true scene and measured points" } else { "World: measured points" };
     let contents = ["/world/**", "/path/**", "- /world/occupancy/**", "- /world/terrain/**"];
     let view = book.view("3D", name, "/world", &contents)?;
     book.set(&view, "EyeControls3D", &from_the_side(&layout.bounds_m))?;
-    book.whole_past(&view)?;
+    book.whole_past(&view, &HISTORIES, &TIMES)?;
     Ok(view)
 }
 
 /// One of the maps made of the points.
-fn map_view(book: &mut Book, layout: &Layout, name: &str, map: &str) -> rerun::RecordingStreamResult<Part> {
+fn map_view(book: &mut Book, layout: &Layout, name: &str, map: &str) -> RecordingStreamResult<Part> {
     let view = book.view("3D", name, "/world", &[map, "/world/robot/**", "/path/**"])?;
     book.set(&view, "EyeControls3D", &from_the_side(&layout.bounds_m))?;
-    book.whole_past(&view)?;
+    book.whole_past(&view, &HISTORIES, &TIMES)?;
     Ok(view)
 }
 
-fn camera_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<Part> {
+fn camera_view(book: &mut Book, layout: &Layout) -> RecordingStreamResult<Part> {
     let [width, height] = layout.image_px;
     let range = |end: f32| datatypes::Range1D([0.0, f64::from(end)]);
     let view = book.view("2D", "Camera: image and the line found", "/camera/image", &["/camera/image/**"])?;
@@ -127,7 +166,7 @@ fn camera_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult
     Ok(view)
 }
 
-fn plan_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<Part> {
+fn plan_view(book: &mut Book, layout: &Layout) -> RecordingStreamResult<Part> {
     let view = book.view("3D", "Plan view", "/world", &["/plan", "/path/**", "/world/robot/body", "/world/profile"])?;
     let [low, high] = layout.bounds_m;
     let (middle, size) = ((low + high) / 2.0, high - low);
@@ -139,11 +178,11 @@ fn plan_view(book: &mut Book, layout: &Layout) -> rerun::RecordingStreamResult<P
         .with_eye_up([0.0, 1.0, 0.0]);
     book.set(&view, "EyeControls3D", &eye)?;
     book.set(&view, "LineGrid3D", &LineGrid3D::new().with_visible(false))?;
-    book.whole_past(&view)?;
+    book.whole_past(&view, &HISTORIES, &TIMES)?;
     Ok(view)
 }
 
-fn plot_view(book: &mut Book, name: &str, series: &[&str]) -> rerun::RecordingStreamResult<Part> {
+fn plot_view(book: &mut Book, name: &str, series: &[&str]) -> RecordingStreamResult<Part> {
     let view = book.view("TimeSeries", name, "/metrics", series)?;
     book.set(&view, "PlotLegend", &PlotLegend::new().with_corner(parts::Corner2D::LeftTop))?;
     let all = datatypes::TimeRange {
@@ -171,7 +210,24 @@ impl Book {
         Part { path: format!("{kind}/{id}"), number: self.parts }
     }
 
-    fn view(&mut self, class: &str, name: &str, origin: &str, contents: &[&str]) -> rerun::RecordingStreamResult<Part> {
+    /// The outermost container, and panels out of the way; the latest of what is there is shown.
+    fn finish(&self, root: &Part, timeline: &str) -> RecordingStreamResult<()> {
+        let viewport = ViewportBlueprint::new()
+            .with_root_container(parts::RootContainer(datatypes::Uuid { bytes: uuid_bytes(root.number) }))
+            .with_auto_layout(false)
+            .with_auto_views(false);
+        self.stream.log("viewport", &viewport)?;
+        for panel in ["blueprint_panel", "selection_panel"] {
+            self.stream.log(panel, &PanelBlueprint::new().with_state(parts::PanelState::Collapsed))?;
+        }
+        let time = TimePanelBlueprint::new()
+            .with_state(parts::PanelState::Collapsed)
+            .with_timeline(timeline)
+            .with_play_state(parts::PlayState::Following);
+        self.stream.log("time_panel", &time)
+    }
+
+    fn view(&mut self, class: &str, name: &str, origin: &str, contents: &[&str]) -> RecordingStreamResult<Part> {
         let part = self.part("view");
         let contents = contents.iter().map(|query| parts::QueryExpression((*query).into()));
         self.stream.log(format!("{}/ViewContents", part.path), &ViewContents::new(contents))?;
@@ -181,12 +237,12 @@ impl Book {
     }
 
     /// Sets a property of a view.
-    fn set(&self, view: &Part, property: &str, value: &dyn AsComponents) -> rerun::RecordingStreamResult<()> {
+    fn set(&self, view: &Part, property: &str, value: &dyn AsComponents) -> RecordingStreamResult<()> {
         self.stream.log(format!("{}/{property}", view.path), value)
     }
 
     /// Shows the whole past of the entities that only grow.
-    fn whole_past(&self, view: &Part) -> rerun::RecordingStreamResult<()> {
+    fn whole_past(&self, view: &Part, entities: &[&str], times: &[&str]) -> RecordingStreamResult<()> {
         let range = |timeline: &str| {
             parts::VisibleTimeRange(datatypes::VisibleTimeRange {
                 timeline: timeline.into(),
@@ -196,9 +252,9 @@ impl Book {
                 },
             })
         };
-        for entity in HISTORIES {
-            let path = format!("{}/ViewContents/overrides/{entity}/visualizers", view.path);
-            self.stream.log(path, &VisibleTimeRanges::new([range("sim_time"), range("scan")]))?;
+        for entity in entities {
+            let path = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
+            self.stream.log(path, &VisibleTimeRanges::new(times.iter().map(|time| range(time))))?;
         }
         Ok(())
     }
@@ -209,7 +265,7 @@ impl Book {
         kind: parts::ContainerKind,
         children: &[Part],
         shares: &[f32],
-    ) -> rerun::RecordingStreamResult<Part> {
+    ) -> RecordingStreamResult<Part> {
         let part = self.part("container");
         let contents = children.iter().map(|child| parts::IncludedContent(child.path.as_str().into()));
         let mut container = ContainerBlueprint::new(kind).with_contents(contents);

@@ -107,16 +107,16 @@ pub(super) fn placed(iso: &nalgebra::Isometry3<f64>) -> Transform3D {
     Transform3D::from_translation(f32s(&iso.translation.vector)).with_quaternion(quaternion)
 }
 
-/// A body wider than this is ground that goes on and on: it says nothing about where to look [m].
-const GROUND_M_MIN: f64 = 40.0;
+/// A body wider or lower than this is ground that goes on and on: it says nothing about where to look [m].
+const GROUND_M: (f64, f64) = (40.0, 0.02);
 
-/// The corners of the box around all bodies that are no endless ground, and nothing where there are none.
+/// The corners of the box around all bodies but the ground, and nothing where there are none.
 pub(super) fn bounds(start: &Start) -> Option<[Vector3<f64>; 2]> {
     let boxes = start.scene.iter().filter_map(|(_, _, mesh)| {
         let first = *mesh.vertices.first()?;
         Some(mesh.vertices.iter().fold([first; 2], |[low, high], v| [low.inf(v), high.sup(v)]))
     });
-    let boxes = boxes.filter(|[low, high]| (high - low).norm() < GROUND_M_MIN);
+    let boxes = boxes.filter(|[low, high]| (high - low).norm() < GROUND_M.0 && high.z - low.z > GROUND_M.1);
     boxes.reduce(|[low, high], [l, h]| [low.inf(&l), high.sup(&h)])
 }
 

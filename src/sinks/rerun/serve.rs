@@ -15,13 +15,21 @@ use rerun::external::re_log_encoding::rrd::{Decodable, DecoderTransport, RRD_FOU
 use rerun::grpc_server::GrpcServerSink;
 use rerun::web_viewer::WebViewerConfig;
 
+use super::blueprint;
 use crate::fault::{Fault, Result};
+use crate::record::METADATA_RECORDING;
 
 /// The first and the last bytes of an MCAP file.
 const MCAP_MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 /// The head of a request is short; more than this is none [bytes].
 const HEAD_BYTES_MAX: usize = 16 << 10;
+
+/// Where the layout of a recording is, beside the recording.
+const LAYOUT_PATH: &str = "/layout.rbl";
+
+/// How much of the end of an MCAP file is searched for what it is of [bytes].
+const SUMMARY_BYTES_MAX: u64 = 1 << 20;
 
 /// How long a browser may take to say what it wants, or to take a piece of the file.
 const BROWSER_S_MAX: u64 = 30;
@@ -34,19 +42,20 @@ struct Page {
 }
 
 impl Page {
-    /// Serves the page at a port (0: a free one), so that it shows `source`.
-    fn start(port: u16, source: &str, open_browser: bool) -> Result<Self> {
+    /// Serves the page at a port (0: a free one), so that it shows these sources.
+    fn start(port: u16, sources: Vec<String>, open_browser: bool) -> Result<Self> {
         drop(listen(port)?); // Rerun would name the port only within a sentence
+        let escaped = |source: &String| source.replace(':', "%3A").replace('/', "%2F").replace('+', "%2B");
+        let query: Vec<String> = sources.iter().map(|source| format!("url={}", escaped(source))).collect();
         let config = WebViewerConfig {
             bind_ip: Ipv4Addr::LOCALHOST.to_string(),
             web_port: port.into(),
-            connect_to: vec![source.to_string()],
+            connect_to: sources,
             open_browser,
             ..WebViewerConfig::default()
         };
         let server = config.host_web_viewer().map_err(|e| Fault::new("web viewer", e, "a page that can be served"))?;
-        let source = source.replace(':', "%3A").replace('/', "%2F").replace('+', "%2B");
-        Ok(Self { url: format!("{}/?url={source}", server.server_url()), _server: Box::new(server) })
+        Ok(Self { url: format!("{}/?{}", server.server_url(), query.join("&")), _server: Box::new(server) })
     }
 
     /// What the browser calls the page's origin, by number and by name.
@@ -74,7 +83,7 @@ impl Web {
         let sink = GrpcServerSink::new(&free.ip().to_string(), free.port(), ServerOptions::default());
         let sink = sink.map_err(|e| Fault::new("port", e, "127.0.0.1"))?;
         wait_for(free)?;
-        Ok((Self { page: Page::start(port, &sink.uri().to_string(), false)? }, sink))
+        Ok((Self { page: Page::start(port, vec![sink.uri().to_string()], false)? }, sink))
     }
 
     /// Where to point a browser.
@@ -106,6 +115,7 @@ pub struct FileServer {
 struct Serving {
     file: PathBuf,
     path: String,
+    layout: Vec<u8>,
     hosts: [String; 2],
     origins: [String; 2],
 }
@@ -118,10 +128,18 @@ impl FileServer {
         check_file(file)?;
         let listener = listen(0)?;
         let address = listener.local_addr().map_err(|e| Fault::new("port", e, "a port that is free"))?;
-        let path = format!("/{}", name_in_url(file));
-        let page = Page::start(port, &format!("http://{address}{path}"), open_browser)?;
+        let name = name_in_url(file);
+        let path = format!("/{name}");
+        let mut sources = vec![format!("http://{address}{path}")];
+        let mut layout = vec![];
+        if is_own_recording(file).map_err(|e| Fault::io(file, &e))? {
+            // The viewer looks for the layout under the name of the file without its ending.
+            layout = blueprint::of_recording(name.trim_end_matches(".mcap"))?;
+            sources.push(format!("http://{address}{LAYOUT_PATH}"));
+        }
+        let page = Page::start(port, sources, open_browser)?;
         let hosts = [address.to_string(), format!("localhost:{}", address.port())];
-        let serving = Arc::new(Serving { file: file.to_path_buf(), path, hosts, origins: page.origins() });
+        let serving = Arc::new(Serving { file: file.to_path_buf(), path, layout, hosts, origins: page.origins() });
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
         let thread = std::thread::spawn(move || {
@@ -188,12 +206,15 @@ impl Serving {
             (Some(method @ ("GET" | "HEAD")), Some(path)) if path == self.path => {
                 let file = File::open(&self.file)?;
                 let bytes = file.metadata()?.len();
-                let head = format!("Content-Type: application/octet-stream\r\nContent-Length: {bytes}\r\n{allow}");
-                start_reply(&mut stream, "200 OK", &head)?;
+                start_reply(&mut stream, "200 OK", &content(bytes, &allow))?;
                 if method == "GET" {
                     io::copy(&mut file.take(bytes), &mut stream)?;
                 }
                 stream.flush()
+            }
+            (Some("GET"), Some(LAYOUT_PATH)) if !self.layout.is_empty() => {
+                start_reply(&mut stream, "200 OK", &content(self.layout.len() as u64, &allow))?;
+                stream.write_all(&self.layout)
             }
             _ => reply(&mut stream, "404 Not Found", &allow),
         }
@@ -221,6 +242,10 @@ fn read_head(stream: &mut TcpStream) -> io::Result<Option<String>> {
 fn start_reply(stream: &mut TcpStream, status: &str, headers: &str) -> io::Result<()> {
     let cache = "Cache-Control: no-store\r\nConnection: close\r\n";
     stream.write_all(format!("HTTP/1.1 {status}\r\n{cache}{headers}\r\n").as_bytes())
+}
+
+fn content(bytes: u64, allow: &str) -> String {
+    format!("Content-Type: application/octet-stream\r\nContent-Length: {bytes}\r\n{allow}")
 }
 
 fn reply(stream: &mut TcpStream, status: &str, headers: &str) -> io::Result<()> {
@@ -259,6 +284,20 @@ pub fn check_file(file: &Path) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Whether this is an MCAP file of this crate, whose topics are known: its name for that stands in the summary, at the end.
+fn is_own_recording(file: &Path) -> io::Result<bool> {
+    if file.extension().is_none_or(|kind| kind != "mcap") {
+        return Ok(false);
+    }
+    let mut opened = File::open(file)?;
+    let bytes = opened.metadata()?.len();
+    opened.seek(SeekFrom::Start(bytes.saturating_sub(SUMMARY_BYTES_MAX)))?;
+    let mut summary = vec![];
+    opened.take(SUMMARY_BYTES_MAX).read_to_end(&mut summary)?;
+    let name = METADATA_RECORDING.as_bytes();
+    Ok(summary.windows(name.len()).any(|bytes| bytes == name))
 }
 
 /// The first 8 bytes, and the last as many as the footer of an `.rrd` has; fewer where the file has no more.
