@@ -5,5 +5,6 @@
 mod browser;
 mod commands;
 mod layers;
+mod mutations;
 mod real_images;
 mod recordings;

@@ -268,7 +268,7 @@ mod tests {
             (body.replace("[1, 1, 1]", "[1, -1, 1]"), "test.toml:5: world.box `a`: size: found -1, expected a number greater than 0"),
             (body.replace("[1, 1, 1]", "[1, 1]"), "test.toml:5: world.box `a`: size: found 2 numbers, expected 3 numbers"),
             (body.replace("[1, 1, 1]", "[1, 1, inf]"), "test.toml:5: world.box `a`: size: found inf"),
-            (body.replace("[1, 1, 1]", "[1, 1, 1e300]"), "test.toml:5: world.box `a`: size: found 1000000"),
+            (body.replace("[1, 1, 1]", "[1, 1, 1e300]"), "test.toml:5: world.box `a`: size: found 1e300"),
             (body.replace("[1, 1, 1]", "'big'"), "test.toml:5: size: found string \"big\", expected"),
             (body.replace("size = [1, 1, 1]\n", ""), "test.toml:2: key `size`: found no such key"),
             (body.replace("[0, 0]", "[0, nan]"), "test.toml:4: world.box `a`: position: found NaN"),

@@ -33,7 +33,7 @@ const EXPECTED = [
   [SCENE, "measured points (yellow to blue)", 0.0005, hueIn(50, 245)],
   [SCENE, "bodies (shaded, pale)", 0.02, ({ s, v }) => s < 0.3 && v > 0.25 && v < 0.97],
   [CAMERA, "an image or a line", 0.0002, ({ v }) => v > 0.12],
-  [PLAN, "unknown cells (grey-green)", 0.02, isGreenGrey],
+  [PLAN, "unknown cells (grey-green)", 0.002, isGreenGrey],
   [PLAN, "free cells (white)", 0.002, ({ s, v }) => s < 0.05 && v > 0.95],
   [PLOT, "curves (red, green or blue)", 0.0003, ({ s, v }) => s > 0.4 && v > 0.5],
 ];

@@ -198,7 +198,7 @@ fn from_the_side([low, high]: &[Vector3<f64>; 2]) -> EyeControls3D {
     let radius = ((high - low).norm() / 2.0).max(0.1);
     let target = (low + high) / 2.0;
     let direction = Vector3::new(-0.55, -0.65, 0.62).normalize();
-    let position = target + direction * (radius * 0.68 / HALF_FOV_RAD.sin());
+    let position = target + direction * (radius * 0.78 / HALF_FOV_RAD.sin());
     EyeControls3D::new().with_position(f32s(&position)).with_look_target(f32s(&target)).with_eye_up([0.0, 0.0, 1.0])
 }
 

@@ -117,7 +117,7 @@ impl Drawing {
         out.log("/world/robot", &pose(&step.world_from_robot))?;
         self.robot_parts(out, frame)?;
         self.points(out, frame)?;
-        self.grow_path(out, "estimated", step.world_from_robot.xyz(), [255, 255, 255])?;
+        self.grow_path(out, "estimated", step.world_from_robot.xyz(), [255, 150, 30])?;
         if let Some(truth) = &frame.truth {
             self.truth(out, frame, truth)?;
         }

@@ -126,7 +126,7 @@ fn about(start: &Start, colours: &HeightColours) -> String {
         "# {}\n\nFinder: {}.\n\n\
          - **Red sheet and red points**: the laser light and what it met in this capture.\n\
          - **Points, voxels and terrain** are coloured by height: dark blue at {low:.2} m, green at {:.2} m, yellow at {high:.2} m.\n\
-         - **White path**: where the robot believes to have driven.{}\n\
+         - **Orange path**: where the robot believes to have driven.{}\n\
          - **Plan view**: white is free, black occupied, grey-green unknown.\n\
          - **Camera**: brightness is the square root of the light; the line found is green.\n\
          - Time runs below: drag it to go back. Tabs over the scene show voxels and terrain.\n",

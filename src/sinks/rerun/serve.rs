@@ -382,6 +382,21 @@ mod tests {
     }
 
     #[test]
+    fn a_recording_of_this_crate_comes_with_its_layout() {
+        let content = [&MCAP_MAGIC[..], &[1; 50], METADATA_RECORDING.as_bytes(), &[1; 50], MCAP_MAGIC].concat();
+        let (_folder, path) = file("lab.mcap", &content);
+        let server = FileServer::start(&path, 0, false).unwrap();
+        assert!(server.url().ends_with("%2Flayout.rbl"), "{}", server.url());
+        let answer = ask(server.address, &format!("GET /layout.rbl HTTP/1.1\r\nHost: {}\r\n\r\n", server.address));
+        assert!(answer.starts_with("HTTP/1.1 200 OK\r\n") && answer.contains("\r\n\r\nRRF2"), "{answer}");
+        let layout = blueprint::of_recording("lab").unwrap();
+        let messages = DecoderTransport::decode_lazy(BufReader::new(&*layout));
+        assert!(messages.map(|message| message.unwrap()).count() > 10);
+        let (_folder, path) = file("other.mcap", &mcap());
+        assert!(!FileServer::start(&path, 0, false).unwrap().url().contains("layout"));
+    }
+
+    #[test]
     fn a_taken_port_is_named_and_a_dropped_server_frees_its_own() {
         let (_folder, path) = file("a.mcap", &mcap());
         let server = FileServer::start(&path, 0, false).unwrap();
