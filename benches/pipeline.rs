@@ -51,6 +51,11 @@ fn stages(criterion: &mut Criterion) {
         placed.points.len()
     );
 
+    let mut maps = Maps::new(lab.scenario.pipeline.maps).expect("parameters are possible");
+    maps.insert(&placed, &lab.pose);
+    let map = maps.summary().occupancy;
+    eprintln!("its map: {} bytes, {} voxels occupied, {} free", map.bytes, map.occupied, map.free);
+
     let mut group = criterion.benchmark_group("stage");
     group.throughput(Throughput::Elements(1));
     group.bench_function("slit frame 512x480", |b| {
@@ -65,11 +70,6 @@ fn stages(criterion: &mut Criterion) {
     group.bench_function("map insert", |b| {
         let mut maps = Maps::new(lab.scenario.pipeline.maps).expect("parameters are possible");
         b.iter(|| maps.insert(black_box(&placed), &lab.pose));
-        let summary = maps.summary();
-        eprintln!(
-            "map of one profile: {} bytes, {} occupied, {} free",
-            summary.occupancy.bytes, summary.occupancy.occupied, summary.occupancy.free
-        );
     });
     group.bench_function("whole step: image to maps", |b| {
         let mut pipeline = Pipeline::new(rig.clone(), PipelineParams::default()).expect("parameters are possible");

@@ -242,6 +242,29 @@ fn a_taken_port_is_answered() {
 }
 
 #[test]
+fn the_live_viewer_is_served_until_ctrl_c() {
+    use std::io::{BufRead, BufReader, Read, Write};
+    let dir = TempDir::new().unwrap();
+    let out = path(&dir, "o");
+    let mut child = metromap(&["run", "worlds/lab.toml", "--duration-s", "3", "--web", "--port", "0", "--out", &out])
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+    // The line that is written when the run is over.
+    let stays = lines.into_iter().find(|line| line.contains("until Ctrl-C")).expect("the run ended without a viewer");
+    let address = stays.split("http://").nth(1).unwrap().split('/').next().unwrap().to_string();
+    let mut page = std::net::TcpStream::connect(&address).unwrap();
+    write!(page, "GET / HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    page.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200") && answer.contains("<html"), "{answer}");
+    assert!(child.try_wait().unwrap().is_none());
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}
+
+#[test]
 fn a_gazebo_house_and_a_warehouse_and_barn_are_mapped_as_they_lie() {
     for (world, args, bodies_min) in [
         ("worlds/turtlebot3/worlds/turtlebot3_house.world", vec![], 10),

@@ -14,8 +14,22 @@ use tempfile::TempDir;
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 const ROUNDS: usize = 300;
 /// What breaks parsers when it stands where a number or a name stood.
-const NASTY: [&str; 14] =
-    ["nan", "inf", "-1", "0", "1e308", "-1e-308", "99999999999999999999", "\"\"", "[", "]]", "<", "&", "\0", "\u{fffd}"];
+const NASTY: [&str; 14] = [
+    "nan",
+    "inf",
+    "-1",
+    "0",
+    "1e308",
+    "-1e-308",
+    "99999999999999999999",
+    "\"\"",
+    "[",
+    "]]",
+    "<",
+    "&",
+    "\0",
+    "\u{fffd}",
+];
 
 /// The same damage for the same round.
 fn damaged(sound: &[u8], round: usize) -> Vec<u8> {
@@ -104,7 +118,9 @@ fn sdf_worlds_and_meshes() {
 #[test]
 fn pictures() {
     let mut png = Cursor::new(Vec::new());
-    image::GrayImage::from_fn(40, 30, |x, y| image::Luma([(x * y) as u8])).write_to(&mut png, image::ImageFormat::Png).unwrap();
+    image::GrayImage::from_fn(40, 30, |x, y| image::Luma([(x * y) as u8]))
+        .write_to(&mut png, image::ImageFormat::Png)
+        .unwrap();
     survives(&png.into_inner(), "a.png", |path| images::read_image(path, images::Channel::Gray, 255).is_ok());
 }
 

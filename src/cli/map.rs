@@ -92,7 +92,7 @@ pub fn run(options: Options) -> Result<Exit> {
         println!("{}", summary.json());
     } else {
         eprint!("{}", summary.text());
-        eprintln!("look at it: metromap view {}", opened.dir.join("view.rrd").display());
+        opened.advise();
     }
     stay_open(&opened, &session);
     if complain(&failed) || summary.dropped.lost() > 0 { Ok(Exit::Lossy) } else { Ok(Exit::Done) }

@@ -58,6 +58,8 @@ pub struct Opened {
     pub sinks: Vec<Box<dyn Sink>>,
     /// The address of the live viewer.
     pub live: Option<String>,
+    /// The file for the viewer.
+    view: Option<PathBuf>,
     files: Vec<PathBuf>,
 }
 
@@ -78,7 +80,7 @@ impl Output {
             sinks.push(Box::new(McapSink::create(&path, images)?));
             files.push(path);
         }
-        let mut targets = Vec::new();
+        let (mut targets, mut view) = (Vec::new(), None);
         if self.web {
             targets.push(Target::Web { port: self.port });
         }
@@ -88,12 +90,13 @@ impl Output {
         if self.save || targets.is_empty() {
             let path = dir.join("view.rrd");
             targets.push(Target::Save(path.clone()));
-            files.push(path);
+            files.push(path.clone());
+            view = Some(path);
         }
         let viewer = RerunSink::new(&targets)?;
         let live = viewer.url().map(String::from);
         sinks.push(Box::new(viewer));
-        Ok(Opened { dir, sinks, live, files })
+        Ok(Opened { dir, sinks, live, view, files })
     }
 }
 
@@ -102,6 +105,13 @@ impl Opened {
     pub fn announce(&self) {
         if let Some(url) = &self.live {
             eprintln!("live: open {url}");
+        }
+    }
+
+    /// The next step.
+    pub fn advise(&self) {
+        if let Some(view) = &self.view {
+            eprintln!("look at it: metromap view {}", view.display());
         }
     }
 

@@ -210,6 +210,8 @@ type Written = (Vec<Box<dyn Sink>>, Vec<Fault>);
 struct SinkThread {
     sender: Option<SyncSender<Box<Frame>>>,
     thread: Option<JoinHandle<Written>>,
+    /// The finished sinks: a live viewer is served as long as its sink lives.
+    finished: Vec<Box<dyn Sink>>,
 }
 
 impl SinkThread {
@@ -230,7 +232,7 @@ impl SinkThread {
             }
             (sinks, failed.into_iter().flatten().collect())
         });
-        Ok(Self { sender: Some(sender), thread: Some(thread) })
+        Ok(Self { sender: Some(sender), thread: Some(thread), finished: Vec::new() })
     }
 
     fn send(&self, frame: Frame) {
@@ -247,6 +249,7 @@ impl SinkThread {
             return vec![Fault::new("sink", "a panic", "a result: please report this")];
         };
         faults.extend(sinks.iter_mut().filter_map(|sink| sink.finish(at).err()));
+        self.finished = sinks;
         faults
     }
 }
