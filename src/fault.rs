@@ -94,6 +94,20 @@ pub fn positive(what: &str, value: f64) -> Result<f64> {
     Err(Fault::new(what, shown(value), "a number greater than 0"))
 }
 
+/// Reads exactly N numbers; TOML's own arrays pass over what is too many. For `#[serde(deserialize_with)]`.
+pub fn exactly<'de, D: serde::Deserializer<'de>, const N: usize>(input: D) -> Result<[f64; N], D::Error> {
+    let numbers = <Vec<f64> as serde::Deserialize>::deserialize(input)?;
+    let found = numbers.len();
+    numbers.try_into().map_err(|_| serde::de::Error::custom(format!("{found} numbers where {N} belong")))
+}
+
+/// The same for a field that may be left out (with `#[serde(default)]`).
+pub fn exactly_if_there<'de, D: serde::Deserializer<'de>, const N: usize>(
+    input: D,
+) -> Result<Option<[f64; N]>, D::Error> {
+    exactly(input).map(Some)
+}
+
 /// A number as people write it: not three hundred digits of 1e300.
 fn shown(value: f64) -> String {
     if value.abs() >= 1e15 { format!("{value:e}") } else { value.to_string() }

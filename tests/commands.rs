@@ -51,6 +51,29 @@ fn number(value: &Value, keys: &str) -> f64 {
     found.as_f64().unwrap_or_else(|| panic!("{keys} is {found} in {value}"))
 }
 
+/// What stands in the lab.
+const LAB: [&str; 19] = [
+    "ball",
+    "bin",
+    "black_box",
+    "carton",
+    "coffee_table/top",
+    "crate",
+    "cube",
+    "glossy_box",
+    "low_box",
+    "parcel",
+    "pole_30mm",
+    "pole_40mm",
+    "pole_60mm",
+    "ramp",
+    "step",
+    "wall_east",
+    "wall_north",
+    "wall_south",
+    "wall_west",
+];
+
 #[test]
 fn the_lab_is_mapped_well_with_perfect_odometry() {
     let dir = TempDir::new().unwrap();
@@ -67,8 +90,13 @@ fn the_lab_is_mapped_well_with_perfect_odometry() {
     }
     assert!(number(&run, "truth.terrain_rmse_m") <= 0.02, "{run}");
     assert_eq!(number(&run, "collisions"), 0.0, "{run}");
+    assert!(number(&run, "truth.terrain_coverage") >= 0.9, "{run}");
+    assert_eq!(number(&run, "mission.ended"), number(&run, "mission.steps"), "{run}");
+    assert_eq!(number(&run, "mission.given_up"), 0.0, "{run}");
     let objects = run["truth"]["objects"].as_object().unwrap();
-    assert!(objects.len() >= 10, "{run}");
+    for name in LAB {
+        assert!(objects.contains_key(name), "the slit never fell on {name}");
+    }
     let missed: Vec<_> = objects.iter().filter(|(_, o)| o["is_found"] != true).map(|(name, _)| name).collect();
     assert!(missed.is_empty(), "not found: {missed:?}");
     for file in run["files"].as_array().unwrap() {
@@ -113,6 +141,10 @@ fn a_killed_run_keeps_all_but_the_last_second() {
         assert!(child.try_wait().unwrap().is_none(), "the run was over before it could be killed");
         std::thread::sleep(Duration::from_millis(20));
     }
+    // What the file held a second and a half before the end must be in what is recovered.
+    let early = path(&dir, "early.mcap");
+    fs::copy(&recording, &early).unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
     child.kill().unwrap(); // SIGKILL
     child.wait().unwrap();
 
@@ -122,7 +154,10 @@ fn a_killed_run_keeps_all_but_the_last_second() {
     let count: Value = serde_json::from_slice(&recovered.stdout).unwrap();
     assert!(number(&count, "messages") > 100.0, "{count}");
     let map = json(metromap(&["map", &whole, "--json", "--out", &path(&dir, "map")]));
-    assert!(number(&map, "captures") > 10.0, "{map}");
+    let before = done(metromap(&["map", &early, "--json", "--out", &path(&dir, "map_early")]));
+    let before: Value = serde_json::from_slice(&before.stdout).unwrap();
+    // Ten captures a second are rendered even on a slow machine: what is flushed each second must have grown.
+    assert!(number(&map, "captures") >= number(&before, "captures") + 10.0, "{map} after {before}");
     // The cut-off file itself maps too, says so, and gives the same map.
     let cut = done(metromap(&["map", &recording, "--json", "--out", &path(&dir, "map_cut")]));
     assert_eq!(cut.status.code(), Some(3), "{}", stderr(&cut));
@@ -169,6 +204,11 @@ fn bad_scenarios_are_answered_with_file_line_found_and_expected() {
         ("NaN pose", a_box("position = [nan, 0]\nsize = [1, 1, 1]"), vec!["bad.toml:", "position", "NaN"]),
         ("missing mesh", mesh("nowhere.obj"), vec!["nowhere.obj"]),
         ("empty mesh", mesh("empty.obj"), vec!["empty.obj", "0 triangles"]),
+        (
+            "beam out of reach",
+            format!("{head}[finder.sweep]\nlines = [5000]\n"),
+            vec!["bad.toml", "finder.sweep.turn", "5000"],
+        ),
         (
             "in a wall",
             a_box("position = [0, 0]\nsize = [1, 1, 1]") + "\n[robot]\nstart = { x_m = 0, y_m = 0, yaw_deg = 0 }\n",
@@ -227,7 +267,15 @@ fn bad_inputs_of_the_other_commands_are_answered() {
         assert_eq!(output.status.code(), Some(code), "{args:?}: {}", stderr(&output));
         assert!(stderr(&output).contains(word), "{args:?}: {}", stderr(&output));
     }
-    assert_eq!(done(metromap(&["fly"])).status.code(), Some(2));
+    for wrong in [
+        vec!["fly"],
+        vec!["run", "--goto", "1,2,x"],
+        vec!["run", "--start=1,2"],
+        vec!["run", "--start=1,2,nan"],
+        vec!["run", "--duration-s", "-1"],
+    ] {
+        assert_eq!(done(metromap(&wrong)).status.code(), Some(2), "{wrong:?}");
+    }
 }
 
 #[test]
@@ -239,6 +287,18 @@ fn a_taken_port_is_answered() {
     let output = done(metromap(&["run", "worlds/lab.toml", "--web", "--port", &port, "--out", &out]));
     assert_eq!(output.status.code(), Some(1));
     assert!(stderr(&output).contains(&port), "{}", stderr(&output));
+    assert!(!Path::new(&out).join("recording.mcap").exists(), "a refused command must not touch what is there");
+}
+
+#[test]
+fn a_mission_that_cannot_be_done_says_so() {
+    let dir = TempDir::new().unwrap();
+    let out = path(&dir, "o");
+    let mut command = metromap(&["run", "worlds/lab.toml", "--start=2,1,0", "--goto", "10,1", "--json", "--out", &out]);
+    command.args(["--images", "none"]);
+    let run = json(command);
+    assert_eq!(number(&run, "mission.given_up"), 1.0, "{run}");
+    assert_eq!(number(&run, "collisions"), 0.0, "{run}");
 }
 
 #[test]

@@ -40,7 +40,7 @@ fn files() -> Vec<(String, String, Vec<String>)> {
         let below = path.strip_prefix(&src).unwrap().to_string_lossy().replace('\\', "/");
         let room = below.split('/').next().unwrap().trim_end_matches(".rs").to_string();
         let text = fs::read_to_string(&path).unwrap();
-        let code = text.lines().take_while(|l| l.trim() != "#[cfg(test)]").map(String::from).collect();
+        let code: Vec<String> = text.lines().take_while(|l| l.trim() != "#[cfg(test)]").map(String::from).collect();
         files.push((below, room, code));
     }
     files
@@ -57,6 +57,22 @@ fn levels() -> BTreeMap<String, usize> {
         }
     }
     levels
+}
+
+/// Lines of code with their numbers from 0; a `use` over several lines is one.
+fn statements(code: &[String]) -> Vec<(usize, String)> {
+    let mut joined: Vec<(usize, String)> = Vec::new();
+    let mut open = false;
+    for (number, line) in code.iter().enumerate() {
+        let line = line.split("//").next().unwrap_or_default();
+        match joined.last_mut().filter(|_| open) {
+            Some((_, statement)) => statement.push_str(line.trim()),
+            None => joined.push((number, line.to_string())),
+        }
+        let begins = line.trim_start().starts_with("use ") || line.trim_start().starts_with("pub use ");
+        open = (open || begins) && !line.contains(';');
+    }
+    joined
 }
 
 /// The rooms that a line of code names through `crate::` (in the binary, `metromap::`).
@@ -93,8 +109,8 @@ fn every_room_has_a_level_and_imports_only_from_below() {
             wrong.push(format!("{file}: `{room}` is not in the level table of lib.rs"));
             continue;
         };
-        for (number, line) in code.iter().enumerate() {
-            for named in rooms_named(line) {
+        for (number, line) in statements(&code) {
+            for named in rooms_named(&line) {
                 let allowed = named == room || levels.get(&named).is_some_and(|level| level < own);
                 if !allowed {
                     wrong.push(format!("{file}:{}: level {own} imports `{named}`", number + 1));

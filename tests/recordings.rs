@@ -236,7 +236,6 @@ fn other_programs_find_what_they_look_for() {
                     ("map", "odom"),
                     ("odom", "base_link"),
                     ("base_link", "finder_base"),
-                    ("finder_base", "finder_camera"),
                     ("finder_base", "finder_laser"),
                 ];
                 assert_eq!(edges, expected);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::Exit;
-use super::output::{Output, complain, start, stay_open};
+use super::output::{Output, complain, print_line, start, stay_open};
 use super::session::{Session, stop_requested};
 use super::summary::Summary;
 use crate::fault::{Fault, Result};
@@ -65,6 +65,12 @@ trait Captures {
 /// Runs the command.
 pub fn run(options: Options) -> Result<Exit> {
     let mut input = open(&options)?;
+    let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    let from = if input.is_recording { options.input.parent().unwrap_or(Path::new(".")) } else { &options.input };
+    if options.output.out.as_deref().is_some_and(|out| same(out, from)) {
+        let expected = "another directory than the input's, whose files would be replaced";
+        return Err(Fault::new("--out", from.display(), expected));
+    }
     let pipeline = Pipeline::new(input.rig.clone(), input.params.clone())?;
     let mut opened = options.output.open(&format!("{}-map", input.name), !input.is_recording)?;
     opened.announce();
@@ -89,7 +95,7 @@ pub fn run(options: Options) -> Result<Exit> {
     let summary = Summary::of(&session, None, None, files);
     summary.save(&opened.dir)?;
     if options.output.json {
-        println!("{}", summary.json());
+        print_line(&summary.json());
     } else {
         eprint!("{}", summary.text());
         opened.advise();

@@ -45,7 +45,7 @@ pub struct Output {
     /// Write view.rrd for the viewer (the default, unless --web or --connect is given)
     #[arg(long)]
     pub save: bool,
-    /// Images kept in the recording
+    /// Images kept in the recording (which `map` makes of a folder of images only)
     #[arg(long, value_enum, default_value_t, value_name = "WHICH")]
     pub images: KeepImages,
 }
@@ -67,7 +67,23 @@ impl Output {
     /// Makes the directory and the sinks.
     pub fn open(&self, name: &str, record: bool) -> Result<Opened> {
         let dir = self.out.clone().unwrap_or_else(|| Path::new("out").join(name));
-        std::fs::create_dir_all(&dir).map_err(|e| Fault::io(&dir, &e))?;
+        std::fs::create_dir_all(&dir)
+            .map_err(|e| Fault::new("--out", e, "a directory that exists or can be made").in_file(&dir))?;
+        let (mut targets, mut view) = (Vec::new(), None);
+        if self.web {
+            targets.push(Target::Web { port: self.port });
+        }
+        if let Some(url) = &self.connect {
+            targets.push(Target::Connect(url.clone()));
+        }
+        if self.save || targets.is_empty() {
+            let path = dir.join("view.rrd");
+            targets.push(Target::Save(path.clone()));
+            view = Some(path);
+        }
+        // What can be refused (a taken port, a viewer that is not there) comes before any file is replaced.
+        let viewer = RerunSink::new(&targets)?;
+        let live = viewer.url().map(String::from);
         let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
         let mut files = Vec::new();
         if record {
@@ -80,22 +96,8 @@ impl Output {
             sinks.push(Box::new(McapSink::create(&path, images)?));
             files.push(path);
         }
-        let (mut targets, mut view) = (Vec::new(), None);
-        if self.web {
-            targets.push(Target::Web { port: self.port });
-        }
-        if let Some(url) = &self.connect {
-            targets.push(Target::Connect(url.clone()));
-        }
-        if self.save || targets.is_empty() {
-            let path = dir.join("view.rrd");
-            targets.push(Target::Save(path.clone()));
-            files.push(path.clone());
-            view = Some(path);
-        }
-        let viewer = RerunSink::new(&targets)?;
-        let live = viewer.url().map(String::from);
         sinks.push(Box::new(viewer));
+        files.extend(view.clone());
         Ok(Opened { dir, sinks, live, view, files })
     }
 }
@@ -127,6 +129,12 @@ impl Opened {
         files.extend(exported.iter().map(|name| self.dir.join(name).display().to_string()));
         Ok(files)
     }
+}
+
+/// One line on stdout; a reader that has gone away is no error.
+pub fn print_line(text: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stdout(), "{text}");
 }
 
 /// The sinks' complaints, for people; an error if there was one.

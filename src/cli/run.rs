@@ -1,11 +1,11 @@
 //! `metromap run`: simulate and map.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::Exit;
-use super::output::{Output, complain, start, stay_open};
+use super::output::{Output, complain, print_line, start, stay_open};
 use super::session::{Session, stop_requested};
 use super::summary::Summary;
 use crate::fault::{Fault, Result};
@@ -27,13 +27,13 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t, value_name = "WHICH")]
     pub odometry: Odometry,
     /// Where the robot starts: x, y [m], yaw [degrees]
-    #[arg(long, value_name = "X,Y,YAW", value_delimiter = ',', allow_hyphen_values = true, num_args = 1)]
-    pub start: Vec<f64>,
+    #[arg(long, value_name = "X,Y,YAW", allow_hyphen_values = true, value_parser = numbers::<3>)]
+    pub start: Option<[f64; 3]>,
     /// Drive there, scanning at every stop; instead of the scenario's mission. May be repeated
-    #[arg(long = "goto", value_name = "X,Y", allow_hyphen_values = true)]
-    pub goals: Vec<String>,
+    #[arg(long = "goto", value_name = "X,Y", allow_hyphen_values = true, value_parser = numbers::<2>)]
+    pub goals: Vec<[f64; 2]>,
     /// End of the run at the latest [s]
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_hyphen_values = true, value_parser = positive)]
     pub duration_s: Option<f64>,
     /// Where else `model://` is looked up
     #[arg(long, value_name = "DIR")]
@@ -56,7 +56,7 @@ pub enum Odometry {
 /// What `--json` prints.
 pub const JSON_HELP: &str = "\
 JSON keys: captures, profiles, points, dropped {reason: count}, sim_s, wall_s, realtime_factor, frames_per_s, travel_m, \
-collisions, occupancy {resolution_m, occupied, free, bytes}, terrain {vertices, triangles, max_error_m, area_m2}, \
+collisions, mission {steps, ended, given_up}, occupancy {resolution_m, occupied, free, bytes}, terrain {vertices, triangles, max_error_m, area_m2}, \
 truth {point_rms_m, point_rms_m_within_3m, point_outliers, occupancy_precision, occupancy_recall (also _low, _high: below \
 and above 0.1 m), terrain_rmse_m, terrain_coverage, pose_rms_m, pose_rms_rad, objects {name: {seen, found, is_found}}}, \
 absent [what the world asks for and is not simulated], digest (SHA-256 of the maps), files, interrupted.";
@@ -65,23 +65,23 @@ absent [what the world asks for and is not simulated], digest (SHA-256 of the ma
 pub fn run(options: Options) -> Result<Exit> {
     let path = options.scenario.clone().unwrap_or_else(|| PathBuf::from("worlds/lab.toml"));
     let mut scenario = Scenario::load(&path, &options.model_path)?;
-    apply(&options, &mut scenario)?;
+    apply(&options, &mut scenario);
     let mut simulation = Simulation::new(&scenario).map_err(|fault| fault.in_file(&path))?;
     let pipeline = Pipeline::new(scenario.rig.clone(), scenario.pipeline.clone())?;
     let mut judge = Judge::new(&scenario.scene, scenario.pipeline.maps.grid.voxel_m);
 
-    let mut opened = options.output.open(&scenario.name, true)?;
+    let mut opened = options.output.open(&stem(&path), true)?;
     opened.announce();
     let mut begin = start(&scenario.name, &scenario.rig);
     begin.scene = simulation.pictures();
     begin.metadata.push(("seed".into(), scenario.seed.to_string()));
+    begin.metadata.push(("overrides".into(), overrides(&options)));
     begin.attachments = vec![
         ("scenario.toml".into(), "application/toml".into(), scenario.text.clone().into_bytes()),
         ("rig.toml".into(), "application/toml".into(), rig_file::to_toml(&scenario.rig).into_bytes()),
         ("pipeline.toml".into(), "application/toml".into(), scenario.pipeline.to_toml()?.into_bytes()),
     ];
-    let total_ms = (scenario.duration_s * 1e3) as u64;
-    let mut session = Session::begin(pipeline, begin, opened.take_sinks(), Some(total_ms))?;
+    let mut session = Session::begin(pipeline, begin, opened.take_sinks(), Some(1000))?;
     let result = drive(&mut session, &mut simulation, &mut judge);
     if let Err(fault) = &result {
         session.log("ERROR", fault.to_string());
@@ -91,11 +91,16 @@ pub fn run(options: Options) -> Result<Exit> {
 
     let truth = judge.verdict(session.pipeline.maps(), simulation.surfaces());
     let files = opened.export(session.pipeline.maps())?;
+    if session.captures == 0 && !stop_requested() {
+        let found = format!("none in {} s", scenario.duration_s);
+        return Err(Fault::new("captures", found, "time for at least one exposure").in_file(&path));
+    }
     let mut summary = Summary::of(&session, Some(truth), Some(simulation.collisions()), files);
+    summary.mission = Some(simulation.mission());
     summary.absent.clone_from(&scenario.scene.absent);
     summary.save(&opened.dir)?;
     if options.output.json {
-        println!("{}", summary.json());
+        print_line(&summary.json());
     } else {
         eprint!("{}", summary.text());
         opened.advise();
@@ -104,59 +109,75 @@ pub fn run(options: Options) -> Result<Exit> {
     if complain(&failed) || summary.dropped.lost() > 0 { Ok(Exit::Lossy) } else { Ok(Exit::Done) }
 }
 
+/// What the command line changed in the scenario that rides along.
+fn overrides(options: &Options) -> String {
+    let Options { odometry, start, goals, duration_s, .. } = options;
+    format!("odometry {odometry:?}, start {start:?}, goto {goals:?}, duration_s {duration_s:?}")
+}
+
 /// The loop: simulate, map, judge, show.
 fn drive(session: &mut Session, simulation: &mut Simulation, judge: &mut Judge) -> Result<()> {
     while !stop_requested() {
         simulation.look_at(session.pipeline.maps(), session.pipeline.world_from_odom());
         let Some(Shot { capture, truth, notes }) = simulation.next_shot()? else { break };
-        for note in notes {
-            session.log("INFO", note);
-        }
-        session.progress(capture.stamp.0.unsigned_abs() / 1_000_000, simulation.doing());
+        log_notes(session, notes);
+        session.progress(simulation.thousandths(), simulation.doing());
         if let Some(step) = session.step(&capture) {
             let point_rms_m = judge.step(&step, &truth.world_from_robot, &truth.sights);
             let beside = Truth { world_from_robot: truth.world_from_robot, moved: truth.moved, point_rms_m };
             session.show(&step, &capture.reading, Some(beside));
         }
     }
+    log_notes(session, simulation.take_notes());
     session.dropped.merge(simulation.dropped());
     Ok(())
 }
 
+/// What the mission said; what it could not do is a warning.
+fn log_notes(session: &mut Session, notes: Vec<String>) {
+    for note in notes {
+        session.log(if note.contains("given up") { "WARN" } else { "INFO" }, note);
+    }
+}
+
+/// The name of a file up to its first dot: results go to `out/` and that.
+fn stem(path: &Path) -> String {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    name.split('.').next().filter(|s| !s.is_empty()).unwrap_or("run").to_string()
+}
+
 /// Flags win over the scenario.
-fn apply(options: &Options, scenario: &mut Scenario) -> Result<()> {
+fn apply(options: &Options, scenario: &mut Scenario) {
     if let Some(seed) = options.seed {
         scenario.seed = seed;
     }
     if options.odometry == Odometry::Perfect {
         scenario.robot.odometry = OdometryParams::perfect();
     }
-    match options.start[..] {
-        [] => {}
-        [x_m, y_m, yaw_deg] if options.start.iter().all(|v| v.is_finite()) => {
-            scenario.place_robot(x_m, y_m, yaw_deg);
-        }
-        _ => {
-            return Err(Fault::new(
-                "--start",
-                format!("{:?}", options.start),
-                "three numbers: x, y [m], yaw [degrees]",
-            ));
-        }
+    if let Some([x_m, y_m, yaw_deg]) = options.start {
+        scenario.place_robot(x_m, y_m, yaw_deg);
     }
     if !options.goals.is_empty() {
-        let mut goals = Vec::new();
-        for goal in &options.goals {
-            let numbers: Vec<f64> = goal.split(',').filter_map(|n| n.trim().parse().ok()).collect();
-            match numbers[..] {
-                [x, y] if x.is_finite() && y.is_finite() => goals.push([x, y]),
-                _ => return Err(Fault::new("--goto", format!("`{goal}`"), "two numbers: x,y [m]")),
-            }
-        }
-        scenario.visit(&goals);
+        scenario.visit(&options.goals);
     }
     if let Some(duration_s) = options.duration_s {
-        scenario.duration_s = crate::fault::positive("--duration-s", duration_s)?;
+        scenario.duration_s = duration_s;
     }
-    Ok(())
+}
+
+/// Exactly N finite numbers with commas between them.
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let parts: Vec<f64> = text.split(',').map(|part| finite(part.trim())).collect::<Result<_, _>>()?;
+    let found = parts.len();
+    parts.try_into().map_err(|_| format!("found {found} numbers, expected {N}"))
+}
+
+fn finite(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| format!("found `{text}`, expected a number"))?;
+    if number.is_finite() { Ok(number) } else { Err(format!("found {number}, expected a finite number")) }
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let number = finite(text)?;
+    if number > 0.0 { Ok(number) } else { Err(format!("found {number}, expected a number greater than 0")) }
 }

@@ -9,6 +9,7 @@ use super::session::Session;
 use crate::fault::{Fault, Result};
 use crate::image::Dropped;
 use crate::maps::{OccupancySummary, TerrainSummary};
+use crate::navigation::MissionProgress;
 use crate::sources::Verdict;
 
 /// The result of a run. Keys are fixed: other programs rely on them (`metromap run --help` documents them).
@@ -36,6 +37,9 @@ pub struct Summary {
     /// Times the robot's body touched something; only for a simulation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub collisions: Option<u64>,
+    /// How the mission went; only for a simulation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mission: Option<MissionProgress>,
     /// The occupancy grid.
     pub occupancy: OccupancySummary,
     /// The terrain mesh.
@@ -82,6 +86,7 @@ impl Summary {
             frames_per_s: simulated.then(|| session.captures as f64 / wall_s),
             travel_m: session.travelled.metres(),
             collisions,
+            mission: None,
             occupancy: maps.occupancy,
             terrain: Terrain { mesh: maps.terrain, area_m2: ground.cells.len() as f64 * ground.cell_m * ground.cell_m },
             truth,
@@ -127,11 +132,27 @@ impl Summary {
             self.terrain.area_m2,
             self.terrain.mesh.max_error_m * 1e3
         ));
+        if let Some(mission) = self.mission {
+            let cut = if mission.ended < mission.steps { ": the time was over before the mission" } else { "" };
+            let blocked = match mission.given_up {
+                0 => String::new(),
+                count => format!(", {count} of them given up: the way was blocked (see the log)"),
+            };
+            line(format!("mission: {} of {} steps ended{blocked}{cut}", mission.ended, mission.steps));
+        }
         if let Some(truth) = &self.truth {
             line(truth.text());
         }
-        for absent in &self.absent {
-            line(format!("not simulated: {absent}"));
+        // Elements such as <gui> are many and change little; what is missing from the world is told one by one.
+        let (elements, things): (Vec<_>, Vec<_>) = self.absent.iter().partition(|what| what.starts_with('<'));
+        for thing in things {
+            line(format!("not simulated: {thing}"));
+        }
+        if !elements.is_empty() {
+            line(format!(
+                "not simulated: {} kinds of elements, named in summary.json under \"absent\"",
+                elements.len()
+            ));
         }
         let lost = self.dropped.lost();
         if lost > 0 {
@@ -139,7 +160,7 @@ impl Summary {
                 self.dropped.0.iter().filter(|(why, _)| why.is_loss()).map(|(why, n)| format!("{n} {why}")).collect();
             line(format!("data lost: {}", reasons.join(", ")));
         }
-        line(format!("maps {}", self.digest));
+        line(format!("digest of the maps: {}", self.digest));
         text
     }
 }

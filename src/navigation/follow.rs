@@ -3,6 +3,8 @@
 
 use std::f64::consts::PI;
 
+use serde::Serialize;
+
 use super::{DriveStep, Mission, ScanKind, Step};
 use crate::fault::{Result, number_within, positive};
 use crate::geometry::{Robot, Transform, World};
@@ -107,6 +109,17 @@ impl Command {
     }
 }
 
+/// How far a mission has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct MissionProgress {
+    /// Steps of the mission.
+    pub steps: usize,
+    /// Steps that are over, also those given up.
+    pub ended: usize,
+    /// Steps given up because the way was blocked.
+    pub given_up: usize,
+}
+
 /// Before a scan the robot stands still for so long [s].
 const STAND_S: f64 = 0.5;
 /// It turns on the spot until it heads for the goal within this [rad] ...
@@ -143,6 +156,7 @@ pub struct Follower {
     scans: u64,
     /// Whether the present step's scan was asked for.
     scanning: bool,
+    given_up: usize,
 }
 
 /// What is in the way.
@@ -170,7 +184,13 @@ impl Follower {
             aligned: false,
             scans: 0,
             scanning: false,
+            given_up: 0,
         })
+    }
+
+    /// How the mission goes.
+    pub fn progress(&self) -> MissionProgress {
+        MissionProgress { steps: self.steps.len(), ended: self.at.min(self.steps.len()), given_up: self.given_up }
     }
 
     /// What to do now. `scan_done`: the scan that the last command asked for is complete.
@@ -306,6 +326,7 @@ impl Follower {
         if (now - since).as_secs() > self.params.patience_s {
             let [x, y] = obstacle.at_m;
             let patience_s = self.params.patience_s;
+            self.given_up += 1;
             return Some(self.next(format!("{what} given up: blocked for {patience_s} s at ({x:.2}, {y:.2})")));
         }
         (self.braking(obstacle.gap_m) < CREEP_M_S).then(Command::halt)

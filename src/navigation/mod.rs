@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::fault::{Fault, Result, number_within, positive};
 
-pub use follow::{Command, FollowParams, Follower, ScanRequest};
+pub use follow::{Command, FollowParams, Follower, MissionProgress, ScanRequest};
 pub use metrics::{Rms, Travel};
 
 /// Coordinates and times of a mission stay below this.

@@ -78,6 +78,9 @@ impl Camera {
                 return Err(Fault::new(name, size, "a number of pixels from 1 to 65536"));
             }
         }
+        if self.width * self.height > 1 << 26 {
+            return Err(Fault::new("camera size", format!("{} x {}", self.width, self.height), "at most 64 Mpixel"));
+        }
         positive("camera.fx", self.fx)?;
         positive("camera.fy", self.fy)?;
         number_within("camera.cx", self.cx, -1e6, 1e6)?;
@@ -89,6 +92,13 @@ impl Camera {
         };
         for value in coefficients {
             number_within("camera.distortion", value, -1e3, 1e3)?;
+        }
+        let (right, bottom) = ((self.width - 1) as f64, (self.height - 1) as f64);
+        for (u, v) in [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)] {
+            if self.ray(u, v).is_none() {
+                let found = format!("{:?}, which folds over at pixel ({u}, {v})", self.distortion);
+                return Err(Fault::new("camera.distortion", found, "a lens that can be undone over the whole image"));
+            }
         }
         Ok(self)
     }

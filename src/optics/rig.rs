@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::camera::Camera;
 use super::sheet::{LaserPlane, Sheet};
 use super::triangulate::PaperGeometry;
-use crate::fault::{Fault, Result, number_within, positive};
+use crate::fault::{Fault, Result, exactly, exactly_if_there, number_within, positive};
 use crate::geometry::{Plane, Point, Robot, Sensor, Transform};
 
 /// A rotary axis read by an encoder.
@@ -54,6 +54,7 @@ impl Axis {
 #[serde(deny_unknown_fields)]
 pub struct MirrorLaser {
     /// A, the centre of the mirror, in the sensor frame [m]: (0, 0, lA).
+    #[serde(deserialize_with = "exactly")]
     pub mirror_m: [f64; 3],
     /// θB over mirror pulses; the angle grows as the beam tilts down.
     pub beam: Axis,
@@ -67,12 +68,13 @@ pub struct MirrorLaser {
 #[serde(deny_unknown_fields)]
 pub struct PlaneLaser {
     /// Normal of the plane, any length.
+    #[serde(deserialize_with = "exactly")]
     pub normal: [f64; 3],
     /// Offset d of n·x = d [m], for the normal as given.
     pub offset_m: f64,
     /// Where the light comes from, in the camera frame [m]. Without it, the foot of the camera on the plane is taken:
     /// then no free space is claimed along the laser's own rays.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly_if_there")]
     pub origin_m: Option<[f64; 3]>,
 }
 
@@ -155,17 +157,21 @@ impl Rig {
         let pulses = match self.laser {
             Laser::Mirror(mirror) => {
                 mirror.beam.validated("laser.beam")?;
-                vec![mirror.beam.pulse_min, mirror.beam.pulse_max]
+                evenly(mirror.beam.pulse_min, mirror.beam.pulse_max)
             }
             Laser::Plane(_) => vec![0],
         };
         let eye = Point::from(self.sensor_from_camera.xyz());
+        let mut side = 0.0;
         for pulse in pulses {
-            let apart = self.laser_plane(pulse)?.plane.distance(eye).abs();
-            if apart < 1e-3 {
-                let found = format!("a plane {:.3} mm from the camera's centre", apart * 1e3);
-                return Err(Fault::new("laser", found, "a plane at least 1 mm from it: nothing can be triangulated"));
+            let apart = self.laser_plane(pulse)?.plane.distance(eye);
+            if apart.abs() < 1e-3 || apart * side < 0.0 {
+                let found =
+                    format!("a plane {:.3} mm from the camera's centre at mirror pulse {pulse}", apart.abs() * 1e3);
+                let expected = "a plane at least 1 mm from it that never sweeps over it: nothing can be triangulated";
+                return Err(Fault::new("laser", found, expected));
             }
+            side = apart;
         }
         Ok(self)
     }
@@ -232,6 +238,13 @@ impl Rig {
     }
 }
 
+/// Up to some 4000 pulses from first to last, both among them.
+fn evenly(first: i32, last: i32) -> Vec<i32> {
+    let step = ((i64::from(last) - i64::from(first)) / 4000).max(1);
+    let inner = (i64::from(first)..i64::from(last)).step_by(step as usize).map(|pulse| pulse as i32);
+    inner.chain([last]).collect()
+}
+
 /// A camera at a position [m] in the sensor frame that looks forward, tilted down by `tilt_rad`, without roll.
 pub fn tilted_camera(xyz: [f64; 3], tilt_rad: f64) -> Transform<Sensor, crate::geometry::Camera> {
     // Columns: the camera's x (right = −Y'), y (down), z (view) in the sensor frame.
@@ -274,6 +287,16 @@ mod tests {
         let fault = Rig::metro_i().laser_plane(301).unwrap_err();
         assert_eq!(fault.to_string(), "mirror encoder: found 301, expected a pulse count from -190 to 300");
         assert!(Rig::metro_i().robot_from_sensor(-4001).is_err());
+    }
+
+    #[test]
+    fn a_plane_that_sweeps_over_the_camera_is_refused() {
+        let mut rig = Rig::metro_i();
+        if let Laser::Mirror(mirror) = &mut rig.laser {
+            mirror.mirror_m = [0.0, 0.0, rig.sensor_from_camera.xyz().z];
+            mirror.beam = Axis { zero_rad: 0.0, rad_per_pulse: 0.01, pulse_min: -10, pulse_max: 10 };
+        }
+        assert!(rig.validated().unwrap_err().to_string().contains("mirror pulse"));
     }
 
     #[test]

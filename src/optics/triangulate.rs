@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::camera::Camera;
-use super::rig::Rig;
+use super::rig::{Laser, Rig};
 use super::sheet::LaserPlane;
 use crate::geometry::{Point, Sensor};
 
@@ -47,8 +47,12 @@ pub fn triangulate(rig: &Rig, sheet: &LaserPlane<Sensor>, u: f64, v: f64, sigma:
     let by_ray = |dr: Vector3<f64>| t * (dr - direction * (n.dot(&dr) / closing));
     let du = by_ray(turn * turned.0) * sigma.u_px;
     let dv = by_ray(turn * turned.1) * sigma.v_px;
-    // The plane turns about the lateral axis through its origin A: dn = lateral × n, n·A − d stays 0.
-    let dn = sheet.lateral.cross(&n);
+    // The mirror turns the plane about the sensor's y axis through A, whatever its roll: dn = y × n, n·A − d stays 0.
+    let axis = match rig.laser {
+        Laser::Mirror(_) => Vector3::y(),
+        Laser::Plane(_) => sheet.lateral,
+    };
+    let dn = axis.cross(&n);
     let db = direction * (-dn.dot(&(xyz - sheet.origin.xyz)) / closing) * sigma.beam_rad;
     let dr = Vector3::new(-xyz.y, xyz.x, 0.0) * sigma.cylinder_rad; // eq. (7): Rz(θR)
     let covariance = du * du.transpose() + dv * dv.transpose() + db * db.transpose() + dr * dr.transpose();
@@ -172,6 +176,22 @@ mod tests {
                 let moved = hi - lo;
                 prop_assert!((s.covariance - moved * moved.transpose()).norm() < 1e-3 * s.covariance.norm() + 1e-16);
             }
+        }
+    }
+
+    #[test]
+    fn the_covariance_of_a_rolled_slit_is_that_of_a_turned_mirror() {
+        let mut rig = Rig::metro_i();
+        if let Laser::Mirror(mirror) = &mut rig.laser {
+            mirror.roll_rad = 0.1;
+        }
+        let (beam, step) = (0.3, 1e-5);
+        let only_beam = Uncertainty { beam_rad: 1e-3, ..EXACT };
+        for (u, v) in [(100.0, 240.0), (400.0, 260.0)] {
+            let at = |beam: f64| triangulate(&rig, &rig.laser_plane_at(beam).unwrap(), u, v, &only_beam).unwrap();
+            let slope = (at(beam + step).point.xyz - at(beam - step).point.xyz) / (2.0 * step) * 1e-3;
+            let covariance = at(beam).covariance;
+            assert!((covariance - slope * slope.transpose()).norm() < 1e-4 * covariance.norm());
         }
     }
 

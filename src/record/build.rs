@@ -33,7 +33,7 @@ fn laser_pose<F: Frame>(sheet: &LaserPlane<F>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(sheet.origin.xyz), rotation)
 }
 
-/// The pose tree at a step: map → odom → base_link → finder_base → finder_camera, finder_laser.
+/// What moves in the pose tree at a step: map → odom → base_link → finder_base → finder_laser.
 ///
 /// Errors: an encoder outside its travel.
 pub fn pose_tree(rig: &Rig, step: &Step) -> Result<TfMessage> {
@@ -46,7 +46,6 @@ pub fn pose_tree(rig: &Rig, step: &Step) -> Result<TfMessage> {
             edge(at, World::NAME, Odom::NAME, &world_from_odom)?,
             edge(at, Odom::NAME, Robot::NAME, &step.odom_from_robot)?,
             edge(at, Robot::NAME, Sensor::NAME, &robot_from_sensor)?,
-            edge(at, Sensor::NAME, CameraFrame::NAME, &rig.sensor_from_camera)?,
             edge(at, Sensor::NAME, LASER_FRAME, &sensor_from_laser)?,
         ],
     })
@@ -397,10 +396,15 @@ mod tests {
         let robot = Transform::<World, Odom>::from(tree.transforms[0].transform.transform::<World, Odom>().iso)
             * tree.transforms[1].transform.transform::<Odom, Robot>();
         assert!((robot.iso.to_homogeneous() - step.world_from_robot.iso.to_homogeneous()).norm() < 1e-12);
-        for (i, name, angle) in [(2, CYLINDER_JOINT, angles[0]), (3, "camera", 0.0), (4, MIRROR_JOINT, angles[1])] {
+        let fixed = fixed_poses(&rig, step.stamp).unwrap();
+        for (edge, name, angle) in [
+            (&tree.transforms[2], CYLINDER_JOINT, angles[0]),
+            (&fixed.transforms[0], "camera", 0.0),
+            (&tree.transforms[3], MIRROR_JOINT, angles[1]),
+        ] {
             let (link, pose) = joint_pose(&urdf, name, angle);
-            assert_eq!(link, tree.transforms[i].child_frame_id);
-            let ours = tree.transforms[i].transform.transform::<(), ()>().iso;
+            assert_eq!(link, edge.child_frame_id);
+            let ours = edge.transform.transform::<(), ()>().iso;
             assert!((pose.to_homogeneous() - ours.to_homogeneous()).norm() < 1e-12, "{name}: {pose} is not {ours}");
         }
     }

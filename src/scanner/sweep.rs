@@ -466,6 +466,11 @@ impl Sweep {
         self.at >= self.stops.len()
     }
 
+    /// How much of one pass is over, 0 to 1.
+    pub fn progress(&self) -> f64 {
+        (self.at as f64 / self.stops.len() as f64).min(1.0)
+    }
+
     /// Images taken so far.
     pub fn shots(&self) -> usize {
         self.shots

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
+use super::files::read_text;
 use super::images::{ImagesSpec, number_of};
 use crate::fault::{Fault, Result, number_within};
 use crate::geometry::{Odom, Robot, Transform};
@@ -153,11 +154,7 @@ fn at_time(track: &[Place], stamp: Stamp) -> Option<Transform<Odom, Robot>> {
 
 /// The lines with something in them (`#` begins a comment), with their numbers, as words parted by blanks or commas.
 fn lines(path: &Path) -> Result<Vec<(usize, Vec<String>)>> {
-    let file = std::fs::metadata(path).map_err(|e| Fault::io(path, &e))?;
-    if file.len() > FILE_BYTES_MAX {
-        return Err(Fault::new("file size", file.len(), format!("at most {FILE_BYTES_MAX} bytes")).in_file(path));
-    }
-    let text = std::fs::read_to_string(path).map_err(|e| Fault::io(path, &e))?;
+    let text = read_text(path, FILE_BYTES_MAX)?;
     let words = |line: &str| -> Vec<String> {
         let said = line.split('#').next().unwrap_or_default();
         said.split(|c: char| c.is_whitespace() || c == ',').filter(|w| !w.is_empty()).map(String::from).collect()

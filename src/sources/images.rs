@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use serde::{Deserialize, Serialize};
 
+use super::files::read_bytes;
 use super::image_poses::Poses;
 use super::rig_file::RigFile;
 use crate::fault::{Fault, Result, number_within};
@@ -44,11 +45,7 @@ pub enum Channel {
 ///
 /// Errors name the file: it is not there, empty, cut off, of another kind, or too large.
 pub fn read_image(path: &Path, channel: Channel, white: u8) -> Result<Image> {
-    let file = std::fs::metadata(path).map_err(|e| Fault::io(path, &e))?;
-    if file.len() > FILE_BYTES_MAX {
-        return Err(Fault::new("file size", file.len(), format!("at most {FILE_BYTES_MAX} bytes")).in_file(path));
-    }
-    let bytes = std::fs::read(path).map_err(|e| Fault::io(path, &e))?;
+    let bytes = read_bytes(path, FILE_BYTES_MAX)?;
     decode(&bytes, channel, white).map_err(|fault| fault.in_file(path))
 }
 

@@ -1,5 +1,6 @@
 //! Where captures come from: simulation, recordings, folders of images.
 
+mod files;
 mod image_poses;
 pub mod images;
 pub mod replay;
@@ -8,6 +9,6 @@ mod scenario;
 mod simulation;
 mod truth;
 
-pub use scenario::{Scenario, read_text};
+pub use scenario::Scenario;
 pub use simulation::{Shot, ShotTruth, Simulation};
 pub use truth::{Found, Judge, Verdict};

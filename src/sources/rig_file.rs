@@ -34,8 +34,9 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::files::read_text;
 use super::images::ImagesSpec;
-use crate::fault::{Fault, Result, number_within};
+use crate::fault::{Fault, Result, exactly, exactly_if_there, number_within};
 use crate::geometry::Transform;
 use crate::line::LineParams;
 use crate::maps::MapParams;
@@ -117,8 +118,9 @@ struct CameraTable {
 #[derive(Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Mount {
+    #[serde(deserialize_with = "exactly")]
     position_m: [f64; 3],
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "exactly_if_there")]
     rotation: Option<[f64; 4]>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     tilt_deg: Option<f64>,
@@ -138,7 +140,7 @@ struct Mount {
 ///
 /// Errors name the file and, where it is known, the line: unknown keys, a newer version, numbers that make no finder.
 pub fn load(path: &Path) -> Result<RigFile> {
-    parse(&read(path)?, path)
+    parse(&read_text(path, FILE_BYTES_MAX)?, path)
 }
 
 /// The same from text; `path` is what errors name, and what other files are looked up beside.
@@ -189,14 +191,6 @@ pub fn to_toml(rig: &Rig) -> String {
     };
     // Strings, numbers and tables of them: there is nothing in a rig that TOML cannot hold.
     toml::to_string(&document).unwrap_or_default()
-}
-
-fn read(path: &Path) -> Result<String> {
-    let file = std::fs::metadata(path).map_err(|e| Fault::io(path, &e))?;
-    if file.len() > FILE_BYTES_MAX {
-        return Err(Fault::new("file size", file.len(), format!("at most {FILE_BYTES_MAX} bytes")).in_file(path));
-    }
-    std::fs::read_to_string(path).map_err(|e| Fault::io(path, &e))
 }
 
 fn document(text: &str) -> Result<Document> {
@@ -356,7 +350,7 @@ struct Matrix {
 
 /// Reads a ROS `camera_info` YAML: its camera matrix and `plumb_bob` distortion, for images as they are (not rectified).
 pub fn camera_info(path: &Path) -> Result<Camera> {
-    let text = read(path)?;
+    let text = read_text(path, FILE_BYTES_MAX)?;
     let info: CameraInfo = serde_saphyr::from_str(&text).map_err(|error| {
         let fault = Fault::new("camera info", first_line(&error.to_string()), "a ROS camera calibration").in_file(path);
         match error.location() {

@@ -4,15 +4,16 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::files::read_text;
 use super::rig_file;
 use crate::fault::{Fault, Result, positive};
 use crate::line::LineParams;
 use crate::maps::MapParams;
 use crate::navigation::{DriveStep, Mission, ScanKind, Step};
-use crate::optics::Rig;
+use crate::optics::{Laser, Rig};
 use crate::pipeline::PipelineParams;
 use crate::robot::{RobotParams, StartParams};
-use crate::scanner::{ImageParams, SweepParams};
+use crate::scanner::{ImageParams, Schedule, SweepParams};
 use crate::world::{Scene, Source, WorldSpec, load_sdf, toml_fault};
 
 /// Longest scenario file read.
@@ -70,7 +71,7 @@ struct File {
 struct Finder {
     /// A rig.toml, relative to the scenario; METRO-I without one.
     rig: Option<PathBuf>,
-    sweep: SweepParams,
+    sweep: Option<SweepParams>,
     image: ImageParams,
     line: LineParams,
 }
@@ -103,6 +104,7 @@ impl Scenario {
             Some(rig) => rig_file::load(&path.parent().unwrap_or(Path::new(".")).join(rig))?.rig,
             None => Rig::metro_i(),
         };
+        let rig = rig.validated().map_err(here)?;
         positive("duration_s", file.duration_s).map_err(here)?;
         if file.name.is_empty() || file.name.contains(['/', '\\']) || file.name.starts_with('.') {
             return Err(here(Fault::new("name", format!("{:?}", file.name), "a name that can be a directory")));
@@ -114,8 +116,8 @@ impl Scenario {
             duration_s: file.duration_s,
             start_given: file.robot.is_some(),
             robot: file.robot.unwrap_or_default().validated().map_err(here)?,
-            rig: rig.validated().map_err(here)?,
-            sweep: file.finder.sweep.validated().map_err(here)?,
+            rig: rig.clone(),
+            sweep: checked_sweep(file.finder.sweep, &rig).map_err(here)?,
             image: file.finder.image.validated().map_err(here)?,
             pipeline: PipelineParams {
                 line: file.finder.line.validated().map_err(here)?,
@@ -161,22 +163,28 @@ impl Scenario {
     }
 }
 
+/// A sweep that the finder's axes can make; one that does not tilt its laser looks straight on unless told otherwise.
+fn checked_sweep(sweep: Option<SweepParams>, rig: &Rig) -> Result<SweepParams> {
+    let sweep = match (sweep, &rig.laser) {
+        (Some(sweep), _) => sweep,
+        (None, Laser::Mirror(_)) => SweepParams::default(),
+        (None, Laser::Plane(_)) => {
+            let still = Schedule::Table { stops: vec![vec![0, 0]] };
+            let lines = vec![0];
+            SweepParams { lines, driving: still.clone(), turn: still.clone(), view: still, ..SweepParams::default() }
+        }
+    };
+    let sweep = sweep.validated()?;
+    for (what, schedule) in [("driving", &sweep.driving), ("turn", &sweep.turn), ("view", &sweep.view)] {
+        let named = |fault: Fault| Fault { what: format!("finder.sweep.{what}: {}", fault.what), ..fault };
+        sweep.stops(schedule, rig).map_err(named)?;
+    }
+    Ok(sweep)
+}
+
 /// The mission in a world that brings none: look around, drive 2 m ahead as far as the map shows it free, look again.
 fn look_and_move() -> Mission {
     let scan = Step::Scan(ScanKind::Turn);
     let ahead = Step::Drive(DriveStep { v_m_s: 0.25, omega_rad_s: 0.0, seconds: 8.0, blind: false });
     Mission { steps: vec![scan, ahead, scan] }
-}
-
-/// A whole text file of bounded size.
-pub fn read_text(path: &Path, bytes_max: u64) -> Result<String> {
-    let size = std::fs::metadata(path).map_err(|e| Fault::io(path, &e))?.len();
-    if size > bytes_max {
-        return Err(Fault::new("file size", format!("{size} bytes"), format!("at most {bytes_max}")).in_file(path));
-    }
-    let bytes = std::fs::read(path).map_err(|e| Fault::io(path, &e))?;
-    String::from_utf8(bytes).map_err(|e| {
-        let line = 1 + e.as_bytes()[..e.utf8_error().valid_up_to()].iter().filter(|b| **b == b'\n').count();
-        Fault::new("text", "bytes that are not UTF-8", "UTF-8").in_file(path).at_line(line)
-    })
 }

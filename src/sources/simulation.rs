@@ -10,7 +10,7 @@ use crate::fault::{Fault, Result};
 use crate::geometry::{Odom, Robot, Transform, World};
 use crate::image::{Capture, Drop, Dropped, Reading};
 use crate::maps::{Maps, PlanView};
-use crate::navigation::{FollowParams, Follower, ScanKind, ScanRequest};
+use crate::navigation::{FollowParams, Follower, MissionProgress, ScanKind, ScanRequest};
 use crate::optics::{Laser, Rig};
 use crate::robot::{BodyCommand, Drive, Odometry, RobotParams};
 use crate::scanner::{Head, Renderer, Schedule, Shot as Trigger, Sweep, SweepParams, TrueSight};
@@ -209,6 +209,20 @@ impl Simulation {
     /// Simulated time.
     pub fn now(&self) -> Stamp {
         Stamp::from_secs(self.physics.elapsed_s())
+    }
+
+    /// How the mission goes.
+    pub fn mission(&self) -> MissionProgress {
+        self.follower.progress()
+    }
+
+    /// How much of the run is over, in thousandths: by the mission's steps, or by its time if that is nearer to its end.
+    pub fn thousandths(&self) -> u64 {
+        let mission = self.mission();
+        let within = if self.scanning == ScanRequest::Driving { 0.5 } else { self.sweep.progress() };
+        let by_steps = (mission.ended as f64 + within) / mission.steps.max(1) as f64;
+        let by_time = self.physics.elapsed_s() / self.duration_s;
+        (by_steps.max(by_time).min(1.0) * 1e3) as u64
     }
 
     /// What the mission is doing, for the progress bar.

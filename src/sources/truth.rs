@@ -60,9 +60,9 @@ pub struct Verdict {
 /// What became of one body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Found {
-    /// Surface voxels with ≥ 3 true hits.
+    /// Surface voxels with ≥ 3 true hits; for what stands on the ground, without voxels that ground passes through.
     pub seen: u64,
-    /// Of these, with an occupied voxel as near as one voxel.
+    /// Of these, with an occupied voxel as near as one voxel, on the same terms.
     pub found: u64,
     /// Most of it was found.
     pub is_found: bool,
@@ -203,11 +203,24 @@ impl Judge {
     }
 
     fn objects(&self, occupied: &BTreeSet<Voxel>) -> BTreeMap<String, Found> {
+        let is_ground = |body: u32| self.ground.get(body as usize) == Some(&true);
+        let with_ground: BTreeSet<Voxel> = self
+            .hits
+            .iter()
+            .filter(|(_, bodies)| bodies.keys().any(|b| is_ground(*b)))
+            .map(|(voxel, _)| *voxel)
+            .collect();
+        // The floor beside a pole's foot is not the pole: for what stands on it, voxels of the ground do not count.
+        let standing: BTreeSet<Voxel> = occupied.difference(&with_ground).copied().collect();
         let mut objects: BTreeMap<String, Tally> = BTreeMap::new();
         for (voxel, bodies) in &self.hits {
-            for (body, _) in bodies.iter().filter(|(_, hits)| **hits >= HITS_SEEN) {
-                let name = self.names.get(*body as usize).cloned().unwrap_or_default();
-                objects.entry(name).or_default().add(has_near(occupied, voxel));
+            for (&body, _) in bodies.iter().filter(|(_, hits)| **hits >= HITS_SEEN) {
+                let name = self.names.get(body as usize).cloned().unwrap_or_default();
+                if is_ground(body) {
+                    objects.entry(name).or_default().add(has_near(occupied, voxel));
+                } else if !with_ground.contains(voxel) {
+                    objects.entry(name).or_default().add(has_near(&standing, voxel));
+                }
             }
         }
         let found = |t: Tally| Found { seen: t.all, found: t.right, is_found: 2 * t.right > t.all };
@@ -228,6 +241,9 @@ impl Judge {
 impl Verdict {
     /// One paragraph for people.
     pub fn text(&self) -> String {
+        if self.point_rms_m.is_nan() {
+            return "against the truth: nothing was seen".into();
+        }
         let missed: Vec<&str> = self.objects.iter().filter(|(_, o)| !o.is_found).map(|(n, _)| n.as_str()).collect();
         let objects = match missed.is_empty() {
             true => format!("all {} bodies seen are in the map", self.objects.len()),

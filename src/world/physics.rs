@@ -374,7 +374,7 @@ fn start_pose(
         let ray = Ray::new(glam(&over.coords), -Vector::Z);
         // Not solid: a start inside a wall finds the floor below, and is then refused with the wall's name.
         let hit = world.cast_ray(&ray, 1e4, false, QueryFilter::default()).ok_or_else(|| {
-            Fault::new("robot start", format!("no ground under ({}, {})", over.x, over.y), "ground below 0.5 m")
+            Fault::new("robot start", format!("no ground under ({:.2}, {:.2})", over.x, over.y), "ground below 0.5 m")
         })?;
         heights.push(START_HEIGHT_M - f64::from(hit.1));
     }

@@ -122,46 +122,56 @@ async function interrupt(server) {
   }
 }
 
-/** A picture of the page, decoded. */
+/** A picture of the page, decoded; nothing if the page is too busy to give one. */
 async function shoot(page) {
-  const bytes = await page.screenshot({ timeout: 120_000 });
-  return { bytes, picture: PNG.sync.read(bytes) };
+  try {
+    const bytes = await page.screenshot({ timeout: 60_000 });
+    return { bytes, picture: PNG.sync.read(bytes) };
+  } catch (error) {
+    if (error.name !== "TimeoutError") throw error;
+    return undefined;
+  }
+}
+
+/** Waits until the page has taken in the whole file: the time it shows grows until then. */
+async function load(page, deadline) {
+  let before;
+  while (Date.now() < deadline) {
+    await sleep(4000);
+    const shot = await shoot(page);
+    if (!shot) continue;
+    const colours = new Set(new Uint32Array(Uint8Array.from(shot.picture.data).buffer)).size;
+    if (before && colours > 1000 && change(before, shot.picture) === 0) return;
+    before = shot.picture;
+  }
+  throw new Error(`the page was still loading after ${PATIENCE_S} s`);
 }
 
 async function look(browser, url, out) {
   const page = await browser.newPage({ viewport: SMALL, colorScheme: "dark" });
   const heard = [];
-  page.on("console", (message) => ["error", "warning"].includes(message.type()) && heard.push(message.text()));
+  page.on("console", (message) => message.type() === "error" && heard.push(message.text()));
   page.on("pageerror", (error) => heard.push(String(error)));
-  await page.goto(`${url}&renderer=webgl`);
-  const began = Date.now();
-  const deadline = began + 1000 * PATIENCE_S;
-  let reasons = ["the page has not stopped loading"];
-  let before;
-  let small = true;
-  while (Date.now() < deadline) {
-    await sleep(4000);
-    const { bytes, picture } = await shoot(page);
-    // The time shown grows while the file loads: no change means all of it is there.
-    const still = before !== undefined && change(before, picture) === 0;
-    before = picture;
-    if (small) {
-      writeFileSync(out, bytes);
-      const drawn = new Set(new Uint32Array(Uint8Array.from(picture.data).buffer)).size > 1000;
-      if (!still || !drawn) continue;
-      console.log(`loaded after ${((Date.now() - began) / 1000).toFixed(0)} s`);
-      small = false;
-      before = undefined;
-      await page.setViewportSize({ width: WIDTH, height: HEIGHT });
-      continue;
+  const deadline = Date.now() + 1000 * PATIENCE_S;
+  let reasons = ["no picture"];
+  try {
+    await page.goto(`${url}&renderer=webgl`);
+    await load(page, deadline);
+    await page.setViewportSize({ width: WIDTH, height: HEIGHT });
+    while (Date.now() < deadline) {
+      await sleep(4000);
+      const shot = await shoot(page);
+      if (!shot) continue;
+      writeFileSync(out, shot.bytes);
+      reasons = missing(shot.picture);
+      if (reasons.length === 0) return;
     }
-    reasons = missing(picture);
-    writeFileSync(out, bytes);
-    if (reasons.length === 0 && still) return;
-    if (reasons.length === 0) reasons = ["the picture still changes"];
+    throw new Error(`after ${PATIENCE_S} s the page does not show:\n  ${reasons.join("\n  ")}`);
+  } catch (error) {
+    // Without a network the page complains that it finds no fonts: that is no reason.
+    const last = heard.filter((line) => !/fetch|ERR_/.test(line)).slice(-5).map((line) => line.slice(0, 200));
+    throw new Error([error.message, ...last.map((line) => `its console: ${line}`)].join("\n"));
   }
-  const last = heard.slice(-10).map((line) => line.slice(0, 200)).join("\n  ");
-  throw new Error(`after ${PATIENCE_S} s the page does not show:\n  ${reasons.join("\n  ")}\nIts console:\n  ${last}`);
 }
 
 async function main() {
@@ -180,7 +190,7 @@ async function main() {
     });
     const began = Date.now();
     await look(browser, url, out);
-    console.log(`${out}: every view is drawn, ${((Date.now() - began) / 1000).toFixed(0)} s after the page was asked for`);
+    console.log(`${out}: every view is drawn, ${((Date.now() - began) / 1000).toFixed(0)} s after the browser started`);
     await browser.close();
     browser = undefined;
     await interrupt(server);

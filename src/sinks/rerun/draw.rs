@@ -32,6 +32,9 @@ const PATH_STEP_M: f64 = 0.01;
 /// Paths are drawn this much over the floor, or it would hide them [m].
 const PATH_LIFT_M: f64 = 0.03;
 
+/// Of the points of the past, one in so many is drawn: neighbours are closer to each other than a pixel is wide.
+const HISTORY_EVERY: usize = 3;
+
 /// Columns of the sheet of light from one drawn ray to the next.
 const SHEET_COLUMNS: usize = 4;
 
@@ -161,8 +164,9 @@ impl Drawing {
         if places.is_empty() {
             return Ok(());
         }
-        let colours = places.iter().map(|p| self.colours.at(p[2]));
-        let history = Points3D::new(&places).with_colors(colours).with_radii([Radius::new_ui_points(1.5)]);
+        let kept: Vec<[f32; 3]> = places.iter().step_by(HISTORY_EVERY).copied().collect();
+        let colours = kept.iter().map(|p| self.colours.at(p[2]));
+        let history = Points3D::new(&kept).with_colors(colours).with_radii([Radius::new_ui_points(1.5)]);
         out.log("/world/points", &history.with_point_shading(PointShading::Flat))
     }
 

@@ -6,7 +6,7 @@
 //! /world/scene/NAME          the true bodies (simulation only)
 //! /world/robot/...           body, finder with camera frustum, sheet of laser light
 //! /world/profile             the points of this capture
-//! /world/points              all points up to now, coloured by height
+//! /world/points              the points up to now, thinned, coloured by height
 //! /world/occupancy/I_J_K     occupied voxels of a block, coloured by height
 //! /world/terrain/I_J         a tile of the terrain mesh, coloured by height
 //! /path/{estimated,true}     where the robot went

@@ -129,7 +129,7 @@ fn about(start: &Start, colours: &HeightColours) -> String {
          - **Orange path**: where the robot believes to have driven.{}\n\
          - **Plan view**: white is free, black occupied, grey-green unknown.\n\
          - **Camera**: brightness is the square root of the light; the line found is green.\n\
-         - Time runs below: drag it to go back. Tabs over the scene show voxels and terrain.\n",
+         - Time runs below: drag it to go back. Below the scene are the maps made of the points: voxels and the mesh of the ground.\n",
         start.name,
         start.rig.name,
         (low + high) / 2.0,
