@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::Exit;
-use super::output::{Output, complain, print_line, start, stay_open};
+use super::output::{Output, start};
 use super::session::{Session, stop_requested};
 use super::summary::Summary;
 use crate::fault::{Fault, Result};
@@ -93,15 +93,7 @@ pub fn run(options: Options) -> Result<Exit> {
     }
     let files = opened.export(session.pipeline.maps())?;
     let summary = Summary::of(&session, None, None, files);
-    summary.save(&opened.dir)?;
-    if options.output.json {
-        print_line(&summary.json());
-    } else {
-        eprint!("{}", summary.text());
-        opened.advise();
-    }
-    stay_open(&opened, &session);
-    if complain(&failed) || summary.dropped.lost() > 0 { Ok(Exit::Lossy) } else { Ok(Exit::Done) }
+    opened.close(&summary, options.output.json, &failed, &session)
 }
 
 fn map_all(session: &mut Session, captures: &mut dyn Captures) -> Result<()> {

@@ -1,10 +1,13 @@
 //! Where `run` and `map` put their results: options, sinks, exports.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use super::session::Session;
+use super::Exit;
+use super::session::{Session, stop_requested};
+use super::summary::Summary;
 use crate::fault::{Fault, Result};
 use crate::maps::Maps;
 use crate::sinks::export;
@@ -110,10 +113,33 @@ impl Opened {
         }
     }
 
-    /// The next step.
-    pub fn advise(&self) {
-        if let Some(view) = &self.view {
-            eprintln!("look at it: metromap view {}", view.display());
+    /// Says how it went, on stdout or stderr, keeps a live viewer up until Ctrl-C, and gives the exit code.
+    pub fn close(&self, summary: &Summary, json: bool, failed: &[Fault], session: &Session) -> Result<Exit> {
+        summary.save(&self.dir)?;
+        if json {
+            // A reader that has gone away is no error.
+            let _ = writeln!(std::io::stdout(), "{}", summary.json());
+        } else {
+            eprint!("{}", summary.text());
+            if let Some(view) = &self.view {
+                eprintln!("look at it: metromap view {}", view.display());
+            }
+        }
+        for fault in failed {
+            eprintln!("metromap: {fault}");
+        }
+        self.stay_open(session);
+        let lossy = !failed.is_empty() || summary.dropped.lost() > 0;
+        Ok(if lossy { Exit::Lossy } else { Exit::Done })
+    }
+
+    /// Keeps a live viewer up until Ctrl-C.
+    fn stay_open(&self, session: &Session) {
+        let Some(url) = &self.live else { return };
+        session.hide_progress();
+        eprintln!("the viewer stays at {url} until Ctrl-C");
+        while !stop_requested() {
+            std::thread::sleep(std::time::Duration::from_millis(100));
         }
     }
 
@@ -131,20 +157,6 @@ impl Opened {
     }
 }
 
-/// One line on stdout; a reader that has gone away is no error.
-pub fn print_line(text: &str) {
-    use std::io::Write;
-    let _ = writeln!(std::io::stdout(), "{text}");
-}
-
-/// The sinks' complaints, for people; an error if there was one.
-pub fn complain(faults: &[Fault]) -> bool {
-    for fault in faults {
-        eprintln!("metromap: {fault}");
-    }
-    !faults.is_empty()
-}
-
 /// What every session starts with.
 pub fn start(session_name: &str, rig: &crate::optics::Rig) -> Start {
     Start {
@@ -153,15 +165,5 @@ pub fn start(session_name: &str, rig: &crate::optics::Rig) -> Start {
         scene: Vec::new(),
         attachments: Vec::new(),
         metadata: vec![("metromap_version".into(), env!("CARGO_PKG_VERSION").into())],
-    }
-}
-
-/// Keeps a live viewer up until Ctrl-C.
-pub fn stay_open(opened: &Opened, session: &Session) {
-    let Some(url) = &opened.live else { return };
-    session.hide_progress();
-    eprintln!("the viewer stays at {url} until Ctrl-C");
-    while !super::session::stop_requested() {
-        std::thread::sleep(std::time::Duration::from_millis(100));
     }
 }

@@ -1,6 +1,7 @@
 //! `metromap recover`: a whole recording out of one that was cut off or damaged.
 
 use std::ffi::OsString;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -35,7 +36,8 @@ pub fn run(options: Options) -> Result<Exit> {
     let output = options.out.unwrap_or_else(|| beside(&options.file));
     let recovered = recover(&options.file, &output)?;
     if options.json {
-        println!("{}", object(&options.file, &output, &recovered));
+        // A reader that has gone away is no error.
+        let _ = writeln!(std::io::stdout(), "{}", object(&options.file, &output, &recovered));
     } else {
         eprint!("{}", text(&output, &recovered));
     }

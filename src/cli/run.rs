@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Exit;
-use super::output::{Output, complain, print_line, start, stay_open};
+use super::output::{Output, start};
 use super::session::{Session, stop_requested};
 use super::summary::Summary;
 use crate::fault::{Fault, Result};
@@ -98,15 +98,7 @@ pub fn run(options: Options) -> Result<Exit> {
     let mut summary = Summary::of(&session, Some(truth), Some(simulation.collisions()), files);
     summary.mission = Some(simulation.mission());
     summary.absent.clone_from(&scenario.scene.absent);
-    summary.save(&opened.dir)?;
-    if options.output.json {
-        print_line(&summary.json());
-    } else {
-        eprint!("{}", summary.text());
-        opened.advise();
-    }
-    stay_open(&opened, &session);
-    if complain(&failed) || summary.dropped.lost() > 0 { Ok(Exit::Lossy) } else { Ok(Exit::Done) }
+    opened.close(&summary, options.output.json, &failed, &session)
 }
 
 /// What the command line changed in the scenario that rides along.
