@@ -195,7 +195,9 @@ impl Recording {
         self.put(|topics| topics.points, at, &build::cloud(&step.placed)?)?;
         let scan = build::scan(&self.rig, &step.seen)?;
         self.put(|topics| topics.scan, at, &scan)?;
-        if let Some(plan) = frame.maps.as_ref().and_then(|maps| maps.plan.as_ref()) {
+        // A grid without cells is no message: viewers refuse a texture of 0 x 0.
+        let plan = frame.maps.as_ref().and_then(|maps| maps.plan.as_ref());
+        if let Some(plan) = plan.filter(|plan| !plan.cells.is_empty()) {
             self.put(|topics| topics.map, at, &build::plan(at, plan)?)?;
         }
         for (level, text) in &frame.log {
