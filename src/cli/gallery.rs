@@ -268,12 +268,12 @@ fn background_effects() -> Vec<Effect> {
     let sunny = ImageParams { sun_w_per_m2_nm: 1.4, ..outdoors };
     let lit = ImageParams { vignetting: 0.0, ..default };
     let board = vec![block(2.0, 0.0, [0.1, 1.0, 0.6], Material { albedo: 0.9, ..Material::default() })];
-    let close = Frame { crop: [226, row_at(2.0) - 12, 60, 24], zoom: 7, gain: 4.0 };
+    let close = Frame { crop: [226, row_at(2.0) - 12, 60, 24], zoom: 7, gain: 2.0 };
     vec![
         Effect {
             name: "sun",
             title: "Sunlight",
-            caption: "1 ms at f/2: indoors, and in direct sun behind a filter of 10 nm. Contrast four times.".into(),
+            caption: "1 ms at f/2: indoors, and in direct sun behind a filter of 10 nm. Contrast twice.".into(),
             without: shot(board.clone(), outdoors),
             with: shot(board, sunny),
             frame: close,
