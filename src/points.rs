@@ -44,8 +44,8 @@ struct Shifted {
     by: f64,
 }
 
-/// What calibration leaves open about one capture's points.
-struct Calibration {
+/// What calibration leaves open about the points of one stand of the finder.
+pub struct Calibration {
     shifted: Vec<Shifted>,
     covariance: DMatrix<f64>,
 }
@@ -55,21 +55,25 @@ impl Calibration {
     /// geometry, large beside rounding.
     const STEP: f64 = 0.01;
 
-    fn new(rig: &Rig, cylinder_pulse: i32, mirror_pulse: i32) -> Result<Self> {
+    /// `stand` says where the sheet and the cylinder of a finder are whose parameters are a little different.
+    pub fn new(
+        rig: &Rig,
+        stand: impl Fn(&Rig) -> Result<(LaserPlane<Sensor>, Transform<Robot, Sensor>)>,
+    ) -> Result<Self> {
         let RigCovariance { parameters, matrix } = &rig.covariance;
         let size = parameters.len();
         let mut shifted = Vec::with_capacity(size);
         for (i, name) in parameters.iter().enumerate() {
             let by = Self::STEP * matrix[i][i].max(0.0).sqrt();
             let rig = rig.shifted(name, by)?;
-            let (sheet, robot_from_sensor) = (rig.laser_plane(mirror_pulse)?, rig.robot_from_sensor(cylinder_pulse)?);
+            let (sheet, robot_from_sensor) = stand(&rig)?;
             shifted.push(Shifted { rig, sheet, robot_from_sensor, by });
         }
         Ok(Self { shifted, covariance: DMatrix::from_fn(size, size, |i, j| matrix[i][j]) })
     }
 
-    /// J·Σ·Jᵀ of the point in the robot's frame that pixel (u, v) shows; `None` where a finder nearby sees no such point.
-    fn covariance(&self, point: &Point<Robot>, u: f64, v: f64) -> Option<Matrix3<f64>> {
+    /// J·Σ·Jᵀ [m²] of the point in the robot's frame that pixel (u, v) shows; `None` where a finder nearby sees no such point.
+    pub fn covariance(&self, point: &Point<Robot>, u: f64, v: f64) -> Option<Matrix3<f64>> {
         let mut jacobian = Matrix3xX::zeros(self.shifted.len());
         for (i, Shifted { rig, sheet, robot_from_sensor, by }) in self.shifted.iter().enumerate() {
             if *by > 0.0 {
@@ -94,7 +98,8 @@ pub fn profile(
 ) -> Result<(Profile<Robot>, Dropped)> {
     let sheet = rig.laser_plane(mirror_pulse)?;
     let robot_from_sensor = rig.robot_from_sensor(cylinder_pulse)?;
-    let calibration = Calibration::new(rig, cylinder_pulse, mirror_pulse)?;
+    let calibration =
+        Calibration::new(rig, |rig| Ok((rig.laser_plane(mirror_pulse)?, rig.robot_from_sensor(cylinder_pulse)?)))?;
     let mut dropped = Dropped::default();
     let mut points = Vec::with_capacity(line.width());
     for (column, peak) in line.columns.iter().enumerate() {

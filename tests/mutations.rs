@@ -4,8 +4,9 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
+use metromap::calibration::points::{LengthUnit, Rows};
 use metromap::sources::replay::Replay;
-use metromap::sources::{Scenario, images, rig_file};
+use metromap::sources::{Scenario, arm_poses, images, marks, rig_file, slits};
 use metromap::world::{load_mesh, load_sdf};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -93,6 +94,32 @@ fn rigs() {
         cols: 5\n  data: [-0.35, 0.158, 0.0007, -0.0002, 0]\nrectification_matrix:\n  rows: 3\n  cols: 3\n  \
         data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nprojection_matrix:\n  rows: 3\n  cols: 4\n  data: [658, 0, 326, 0, 0, 658, 240, 0, 0, 0, 1, 0]\n";
     survives(yaml, "camera.yaml", |path| rig_file::camera_info(path).is_ok());
+}
+
+#[test]
+fn rigs_with_a_covariance() {
+    let rig = String::from_utf8(read("tests/rigs/robot_floor.toml")).unwrap();
+    let covariance = "\n[covariance]\nparameters = [\"tilt_rad\", \"fx_px\"]\nmatrix = [[1e-6, 1e-5], [1e-5, 0.25]]\n";
+    survives((rig + covariance).as_bytes(), "rig.toml", |path| rig_file::load(path).is_ok());
+}
+
+#[test]
+fn what_calibrations_read() {
+    let marks_file = b"# x y z u v\n0 0 0 100.5 200.25\n40 0 0 150.5 201\n0 40 0 99 250\n40 40 10.5 151 252\n";
+    survives(marks_file, "points.txt", |path| marks::load(path, LengthUnit::Mm, Rows::FromTop).is_ok());
+    let poses = b"im1 0.1 0.2 0.5 0 0 0 1\nim2 0.3 -0.2 0.5 0 0.7071067811865476 0 0.7071067811865476\n";
+    survives(poses, "poses.txt", |path| arm_poses::load(path).is_ok());
+    let slit_file =
+        b"version = 1\nassume = \"paper\"\ncolumns = 16\nknown = { beam_zero_rad = 8e-5, roll_rad = \"exactly\" }\n\
+        [camera]\nf_mm = [11.434, 0.019]\nscale_u = [1.095, 2e-4]\nk_per_mm2 = [0.00335, 6e-5]\ncu_px = [256, 2.5]\n\
+        cv_px = [239, 2.5]\n[[walls]]\nmark_m = 1.05\nsquare_sigma_rad = 0.01\n\
+        [[slits]]\nmirror_pulse = 130\non = \"floor\"\nmark_m = 0.0\npeaks = [{ u = 256, v = 437.8, sigma = 0.1 }]\n\
+        [[slits]]\nmirror_pulse = 49\non = { wall = 0 }\npeaks = [{ u = 256, v = 244.9, sigma = 0.1 }]\n";
+    survives(slit_file, "slits.toml", |path| slits::load(path, None).is_ok());
+    let table =
+        b"name,on,mirror_pulse,mark_m,u,v,sigma\na,floor,130,0.0,256,437.85,0.1\nb,floor,49,0.6,256,244.94,0.1\n\
+        b,floor,49,0.6,300,244.9,0.1\n";
+    survives(table, "slits.csv", |path| slits::load(path, None).is_ok());
 }
 
 #[test]

@@ -9,6 +9,7 @@ use nalgebra::{Matrix2, Matrix3, Rotation3, Vector2, Vector3};
 
 use crate::geometry::{Point, Robot, Sensor, Transform};
 use crate::optics::{Axis, Laser, LaserPlane, Rig, Uncertainty, triangulate};
+use crate::points::Calibration;
 use crate::scanner::ImageParams;
 
 pub(super) type V3 = Vector3<f64>;
@@ -230,6 +231,22 @@ impl<'a> Bench<'a> {
         let seen = triangulate(self.rig, &sheet, sight.pixel[0], sight.pixel[1], sigma)?;
         let turn = self.robot_from_sensor.iso.rotation.to_rotation_matrix();
         let covariance = turn.matrix() * seen.covariance * turn.matrix().transpose();
+        Some(covariance.diagonal().map(|variance| variance.max(0.0).sqrt()))
+    }
+
+    /// What the rig's own covariance leaves open about a place: standard deviations of x, y, z [m]. Zeros for a rig that
+    /// carries none; `None` where a finder nearby cannot see it.
+    pub fn by_calibration(&self, sight: &Sight) -> Option<V3> {
+        // The encoder reads the same, whatever its zero and its gain truly are.
+        let pulse = self.pulse(sight.beam_rad);
+        let calibration = Calibration::new(self.rig, |rig| {
+            let beam_rad = match (rig.laser, pulse) {
+                (Laser::Mirror(mirror), Some(pulse)) => mirror.beam.zero_rad + pulse * mirror.beam.rad_per_pulse,
+                _ => sight.beam_rad,
+            };
+            Ok((rig.laser_plane_at(beam_rad)?, rig.robot_from_sensor_at(0.0)))
+        });
+        let covariance = calibration.ok()?.covariance(&sight.point.into(), sight.pixel[0], sight.pixel[1])?;
         Some(covariance.diagonal().map(|variance| variance.max(0.0).sqrt()))
     }
 

@@ -9,10 +9,6 @@ use crate::optics::Uncertainty;
 
 /// A step stands out if it is this many standard deviations high [A]: one false alarm in some two million points.
 pub const STANDS_OUT: f64 = 5.0;
-/// A stripe is found if its peak is this many times the noise of a pixel [A] ...
-pub const FOUND: f64 = 4.0;
-/// ... and at least this level, as the extraction has it [levels].
-pub const LEVEL_MIN: f64 = 0.75;
 
 /// Names of the terms, in the order of [`Terms::list`]: as in JSON, and for people.
 pub const TERMS: [(&str, &str); 8] = [
@@ -41,7 +37,7 @@ pub struct Terms {
     pub encoder_mm: f64,
     /// Where in its column a point lies, 1/√12 of it: sideways.
     pub column_mm: f64,
-    /// Calibrated pitch of the camera and zero of the beam.
+    /// What the calibration leaves open: the covariance in the rig, and besides a pitch and a beam zero where given.
     pub calibration_mm: f64,
     /// Position, heading and pitch of the robot.
     pub pose_mm: f64,
@@ -209,6 +205,7 @@ impl<'a> Budget<'a> {
         let per_beam = per(Uncertainty { beam_rad: 1.0, ..EXACT })?;
         let per_cylinder = per(Uncertainty { cylinder_rad: 1.0, ..EXACT })?;
         let per_pitch = bench.by_pitch(sight)? * 1e3;
+        let calibrated = bench.by_calibration(sight)? * 1e3;
         let pixel_noise_px = self.detector.row_bound_px(electrons, sight.stripe_px);
         let speckle_px = self.speckle_px();
         let pulse = bench.beam().map_or(0.0, |axis| axis.rad_per_pulse.abs());
@@ -227,7 +224,9 @@ impl<'a> Budget<'a> {
                 per_beam[i] * self.instrument.mirror_sigma_rad(),
                 encoder,
                 per_u[i] / 12f64.sqrt(),
-                (per_pitch[i] * params.pitch_sigma_rad).hypot(per_beam[i] * params.beam_zero_sigma_rad),
+                calibrated[i]
+                    .hypot(per_pitch[i] * params.pitch_sigma_rad)
+                    .hypot(per_beam[i] * params.beam_zero_sigma_rad),
                 pose[i] * 1e3,
                 moved[i] * params.timing_sigma_s * 1e3,
             ])
@@ -235,7 +234,7 @@ impl<'a> Budget<'a> {
         let (range, lateral, height) = (terms(0), terms(1), terms(2));
         let (dominant, dominant_share) = range.dominant();
         let peak_level = self.detector.peak_levels(electrons, sight.stripe_px);
-        let threshold = (FOUND * self.detector.noise_levels()).max(LEVEL_MIN);
+        let threshold = self.detector.found_levels();
         Some(Row {
             range_m: sight.point.x,
             from_camera_m: sight.point.x - bench.eye.x,

@@ -1,7 +1,10 @@
 //! What a stripe of so many electrons tells about its row: the Cramér–Rao bound of `instrument.md` 2.
 
+use crate::line::LineParams;
 use crate::scanner::ImageParams;
 
+/// A stripe is found if its peak is this many times the noise of a pixel [A], and as high as the extraction asks.
+const FOUND: f64 = 4.0;
 /// Rows to either side of the stripe that are added up.
 const REACH: i32 = 8;
 /// Positions within a pixel over which the bound is averaged.
@@ -30,6 +33,11 @@ impl Detector {
     /// RMS noise of a pixel that the stripe does not light [levels].
     pub fn noise_levels(&self) -> f64 {
         self.gain * (self.dark_variance + self.background).sqrt()
+    }
+
+    /// The least peak over the background that is found [levels].
+    pub fn found_levels(&self) -> f64 {
+        (FOUND * self.noise_levels()).max(f64::from(LineParams::default().level_min))
     }
 
     /// Highest level of a stripe over the background, with its middle on a pixel's [levels]; not clipped.

@@ -3,7 +3,6 @@
 use serde::Serialize;
 
 use super::bench::Bench;
-use super::budget::{FOUND, LEVEL_MIN};
 use super::detector::Detector;
 use super::params::DesignParams;
 
@@ -77,7 +76,7 @@ fn facing(bench: &Bench, distance_m: f64) -> (f64, f64) {
 }
 
 fn found(detector: &Detector, electrons: f64, stripe_px: f64) -> bool {
-    let least = (FOUND * detector.noise_levels()).max(LEVEL_MIN);
+    let least = detector.found_levels();
     let full = detector.background >= detector.well;
     !full && detector.peak_levels(electrons, stripe_px) >= least && detector.row_bound_px(electrons, stripe_px) < 1.0
 }
@@ -106,7 +105,7 @@ pub(super) fn light(bench: &Bench, params: &DesignParams, floor_m: Option<[f64; 
         background_level_sun: bench.background(SUN_W_PER_M2) * room.gain,
         white_level: room.well * room.gain,
         noise_level: room.noise_levels(),
-        found_level: (FOUND * room.noise_levels()).max(LEVEL_MIN),
+        found_level: room.found_levels(),
         half_angle_deg: (bench.rig.sheet.width_per_m / 2.0).atan().to_degrees(),
         facing: rows.collect(),
         reach: reach.collect(),

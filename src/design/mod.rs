@@ -4,8 +4,8 @@
 //! blind zone and the beams for a wanted volume come out, as numbers ([`Design`], JSON) and as a page ([`page`]). All in
 //! the robot's frame with the cylinder straight ahead and the floor at z = 0. Pure: no files, no printing.
 //!
-//! What is left out: occlusion by the robot's own body, blooming, a second bounce, vignetting, and whatever the
-//! calibration's own errors do together (only a pitch and a beam zero can be given).
+//! What a calibration leaves open is in the budget where the rig carries its covariance. What is left out: occlusion by the
+//! robot's own body, blooming, a second bounce, vignetting.
 
 mod beams;
 mod bench;
@@ -30,7 +30,7 @@ use budget::Budget;
 use crate::fault::{Fault, Result};
 
 pub use beams::{Line, Unseen, Watch};
-pub use budget::{FOUND, Row, STANDS_OUT, TERMS, Terms};
+pub use budget::{Row, STANDS_OUT, TERMS, Terms};
 pub use changes::Change;
 pub use light::{Facing, Light, Reach, SUN_W_PER_M2, TARGETS};
 pub use page::page;

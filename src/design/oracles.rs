@@ -3,7 +3,7 @@
 use super::bench::Bench;
 use super::budget::Budget;
 use super::*;
-use crate::optics::{Distortion, Laser, PaperGeometry, Rig};
+use crate::optics::{Distortion, Laser, PaperGeometry, Rig, RigCovariance};
 use crate::scanner::ImageParams;
 
 /// METRO-I without distortion at f/4, as `instrument.md` counts.
@@ -145,4 +145,31 @@ fn a_fan_without_light_in_the_picture_and_one_with_all() {
     let width = Rig::metro_i().camera.ray(511.5, 239.5).unwrap().x - Rig::metro_i().camera.ray(-0.5, 239.5).unwrap().x;
     near(share((2.0 * 2.0 * width - 5.895e-3) / 2.0), 0.682_689, 1e-4);
     assert!(share(0.1) > 0.999_999);
+}
+
+#[test]
+fn the_covariance_of_a_calibration_is_in_the_budget() {
+    // One parameter at a time it must do what the same error does that is given by hand; two that are one error add up.
+    let upright = |instrument: &Instrument, params: &DesignParams| {
+        let bench = Bench::new(&instrument.rig, &instrument.image);
+        Budget::new(&bench, instrument, params).upright(0.3, 1.8).unwrap().range.calibration_mm
+    };
+    let carrying = |matrix: [[f64; 2]; 2]| {
+        let mut instrument = ideal();
+        instrument.rig.covariance = RigCovariance {
+            parameters: vec!["tilt_rad".into(), "beam_zero_rad".into()],
+            matrix: matrix.map(Vec::from).into(),
+        };
+        upright(&instrument.validated().unwrap(), &DesignParams::default())
+    };
+    let by_hand = |pitch_sigma_rad, beam_zero_sigma_rad| {
+        upright(&ideal(), &DesignParams { pitch_sigma_rad, beam_zero_sigma_rad, ..Default::default() })
+    };
+    let (tilt, beam) = (by_hand(1e-4, 0.0), by_hand(0.0, 1e-4));
+    near(carrying([[1e-8, 0.0], [0.0, 0.0]]), tilt, 1e-3 * tilt);
+    near(carrying([[0.0, 0.0], [0.0, 1e-8]]), beam, 1e-3 * beam);
+    near(carrying([[1e-8, 0.0], [0.0, 1e-8]]), by_hand(1e-4, 1e-4), 1e-3 * tilt);
+    // A camera that nods down and a beam that sinks change the range in opposite ways: together they nearly cancel.
+    near(carrying([[1e-8, 1e-8], [1e-8, 1e-8]]), (tilt - beam).abs(), 1e-3 * tilt);
+    near(carrying([[1e-8, -1e-8], [-1e-8, 1e-8]]), tilt + beam, 1e-3 * tilt);
 }

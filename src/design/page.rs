@@ -288,20 +288,28 @@ fn errors(all: &Design) -> String {
          that); speckle: λN/π on the sensor; mirror: where its servo stops ({} mrad) and its encoder; calibration: {}; in the map: with \
          ± {} mm and {} mrad of the robot's pose and {} ms of timing at {} m/s besides.",
         short(all.given.mirror_stop_mrad, 3),
-        if params.pitch_sigma_rad == 0.0 && params.beam_zero_sigma_rad == 0.0 {
-            "taken as perfect, but see what a mrad of pitch costs".to_string()
-        } else {
-            format!(
-                "{} mrad of pitch, {} mrad of beam zero",
-                short(params.pitch_sigma_rad * 1e3, 3),
-                short(params.beam_zero_sigma_rad * 1e3, 3)
-            )
-        },
+        calibration_words(all),
         short(params.position_sigma_m * 1e3, 1),
         short(params.heading_sigma_rad * 1e3, 1),
         short(params.timing_sigma_s * 1e3, 1),
         short(params.speed_m_s, 2)
     ))
+}
+
+/// What is known of the calibration.
+fn calibration_words(all: &Design) -> String {
+    let params = &all.params;
+    let known = all.instrument.rig.covariance.parameters.len();
+    let mut parts = Vec::new();
+    if known > 0 {
+        parts.push(format!("the covariance of {known} parameters in the rig"));
+    }
+    for (sigma, what) in [(params.pitch_sigma_rad, "pitch"), (params.beam_zero_sigma_rad, "beam zero")] {
+        if sigma > 0.0 {
+            parts.push(format!("{} mrad of {what}", short(sigma * 1e3, 3)));
+        }
+    }
+    if parts.is_empty() { "taken as perfect, but see what a mrad of pitch costs".into() } else { parts.join(", ") }
 }
 
 fn light(all: &Design) -> String {
@@ -466,7 +474,6 @@ fn assumed(all: &Design) -> String {
     }
     html + "</ul>"
         + &paragraph(
-            "Left out: shadows of the robot's own body, blooming, second bounces, vignetting, steps of the floor itself, and what \
-             the errors of a calibration do together.",
+            "Left out: shadows of the robot's own body, blooming, second bounces, vignetting, and steps of the floor itself.",
         )
 }
