@@ -156,8 +156,7 @@ fn the_light_is_that_of_the_renderer() {
     let scene = Scene { bodies: vec![floor], ..Scene::default() };
     // Without lenses the sheet stays the rig's: both look at the same light.
     let instrument = Instrument { optics: None, ..Instrument::metro_i() };
-    // Without speckle, and with the three cosines only that a sheet has anyhow: `design` leaves the lens' own out.
-    let image = metromap::scanner::ImageParams { speckle_contrast: 0.0, vignetting: 3.0, ..instrument.image };
+    let image = metromap::scanner::ImageParams { speckle_contrast: 0.0, ..instrument.image };
     let renderer = Renderer::new(&instrument.rig, image, &scene).unwrap();
     let surfaces = Surfaces::new(&scene).unwrap();
     let all = design(instrument, DesignParams::default()).unwrap();

@@ -104,7 +104,7 @@ pub struct Options {
     /// Albedo of floor and targets in the error budget [default: 0.5]
     #[arg(long, value_name = "0..1", allow_hyphen_values = true)]
     pub albedo: Option<f64>,
-    /// Ambient light within the band-pass [W/m²] [default: the scenario's, or 0.06: a lit room]
+    /// Ambient light within 10 nm of the laser [W/m²] [default: the scenario's, or 0.06: a lit room]
     #[arg(long, value_name = "W/M2", allow_hyphen_values = true)]
     pub ambient: Option<f64>,
     /// Speed of the robot while it looks [m/s] [default: 0.3]

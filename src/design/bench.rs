@@ -14,8 +14,6 @@ use crate::scanner::ImageParams;
 
 pub(super) type V3 = Vector3<f64>;
 
-/// h·c [J·m].
-const PLANCK_TIMES_LIGHT: f64 = 6.626_070_15e-34 * 299_792_458.0;
 /// Nothing uncertain.
 pub(super) const EXACT: Uncertainty = Uncertainty { u_px: 0.0, v_px: 0.0, beam_rad: 0.0, cylinder_rad: 0.0 };
 
@@ -178,7 +176,8 @@ impl<'a> Bench<'a> {
         let fan = sheet.lateral.dot(&along) - y / width * rig.sheet.width_per_m * sheet.forward.dot(&along);
         let power_w = rig.sheet.line_power_w_per_m(x, y) * (fan / columns_per_m).abs(); // p·Δy
         let range = to_eye.norm();
-        let electrons = power_w * self.electrons_per_watt(range) * normal.dot(&to_eye) / range;
+        let off_axis = self.image.fall_off(seen.z / range);
+        let electrons = power_w * self.electrons_per_watt(range) * off_axis * normal.dot(&to_eye) / range;
         let inside = |at: f64, size: usize| at >= -0.5 && at <= size as f64 - 0.5;
         Some(Sight {
             point: *point,
@@ -195,33 +194,20 @@ impl<'a> Bench<'a> {
 
     /// Electrons from a watt on a white surface that faces the camera at this range: Ω/π·τ·t·η·λ/(hc).
     pub fn electrons_per_watt(&self, range_m: f64) -> f64 {
-        let aperture = PI * (self.image.focal_length_m / (2.0 * self.image.f_number)).powi(2) / (range_m * range_m); // Ω
-        aperture / PI * self.image.exposure_s * self.electrons_per_joule()
-    }
-
-    /// Electrons that a joule in front of the lens becomes.
-    fn electrons_per_joule(&self) -> f64 {
         let image = self.image;
-        let through = image.lens_transmission * image.filter_transmission * image.quantum_efficiency;
-        through * self.rig.sheet.wavelength_m / PLANCK_TIMES_LIGHT
+        image.aperture_sr(range_m) / PI * image.exposure_s * image.electrons_per_joule(self.rig.sheet.wavelength_m)
     }
 
-    /// Electrons that every pixel has without the laser, in this ambient light within the filter's band [W/m²].
+    /// Electrons that a pixel on the axis has without the laser, in this ambient light [W/m² for 10 nm].
     pub fn background(&self, ambient_w_per_m2: f64) -> f64 {
-        let image = self.image;
-        let pitch = image.focal_length_m.powi(2) / (self.rig.camera.fx * self.rig.camera.fy);
-        // A pixel sees radiance ρE/π through the solid angle π/(4N²).
-        let power_w = ambient_w_per_m2 * image.ambient_albedo / (4.0 * image.f_number * image.f_number) * pitch;
-        image.dark_electrons + power_w * image.exposure_s * self.electrons_per_joule()
+        self.image.background_electrons(self.rig, ambient_w_per_m2)
     }
 
     /// RMS width of the stripe: thickness of the sheet, defocus (a quarter of its disc), point spread [px].
     pub fn stripe_px(&self, laser_range_m: f64, range_m: f64, row_per_m: f64) -> f64 {
         let (rig, image) = (self.rig, self.image);
         let thick = rig.sheet.thickness_m(laser_range_m) / 2.0 * row_per_m;
-        let disc_m =
-            image.focal_length_m / image.f_number * image.focal_length_m * (1.0 / range_m - 1.0 / image.focus_m).abs();
-        let defocus = disc_m / 4.0 * rig.camera.fy / image.focal_length_m;
+        let defocus = image.defocus_px(rig, range_m);
         (thick * thick + defocus * defocus + image.point_spread_px.powi(2)).sqrt()
     }
 

@@ -186,13 +186,6 @@ impl<'a> Budget<'a> {
         self.row(&sight)
     }
 
-    /// Share of speckle in a stripe's row: C·λN/π on the sensor, C = 1 [px].
-    pub fn speckle_px(&self) -> f64 {
-        let image = self.bench.image;
-        let pitch = image.focal_length_m / self.bench.rig.camera.fy;
-        self.bench.rig.sheet.wavelength_m * image.f_number / std::f64::consts::PI / pitch
-    }
-
     fn row(&self, sight: &Sight) -> Option<Row> {
         if !(sight.in_image && sight.in_fan && sight.in_travel) {
             return None;
@@ -207,7 +200,7 @@ impl<'a> Budget<'a> {
         let per_pitch = bench.by_pitch(sight)? * 1e3;
         let calibrated = bench.by_calibration(sight)? * 1e3;
         let pixel_noise_px = self.detector.row_bound_px(electrons, sight.stripe_px);
-        let speckle_px = self.speckle_px();
+        let speckle_px = bench.image.speckle_sigma_px(bench.rig);
         let pulse = bench.beam().map_or(0.0, |axis| axis.rad_per_pulse.abs());
         let cylinder = bench.rig.cylinder_sigma_rad;
         let pose = [

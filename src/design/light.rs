@@ -5,9 +5,10 @@ use serde::Serialize;
 use super::bench::Bench;
 use super::detector::Detector;
 use super::params::DesignParams;
+use crate::scanner::ImageParams;
 
-/// Direct sun within the filter's 10 nm [W/m²] (`instrument.md` 1).
-pub const SUN_W_PER_M2: f64 = 14.0;
+/// Direct sun on what the camera sees [W/m² a nm] (`instrument.md` 1: 14 W/m² through 10 nm).
+const SUN_W_PER_M2_NM: f64 = 1.4;
 /// Targets: name and albedo.
 pub const TARGETS: [(&str, f64); 3] = [("white", 0.9), ("grey", 0.18), ("black", 0.02)];
 /// Farthest range that is tried [m].
@@ -54,6 +55,8 @@ pub struct Light {
     pub background_level: f64,
     /// The same in direct sun with the camera's own exposure, not clipped.
     pub background_level_sun: f64,
+    /// Ambient light and direct sun within the filter [W/m²].
+    pub sun_w_per_m2: f64,
     /// Level of a full pixel.
     pub white_level: f64,
     /// RMS noise of a pixel that the laser does not light, indoors [levels].
@@ -82,7 +85,9 @@ fn found(detector: &Detector, electrons: f64, stripe_px: f64) -> bool {
 }
 
 pub(super) fn light(bench: &Bench, params: &DesignParams, floor_m: Option<[f64; 2]>) -> Light {
-    let room = Detector::new(bench.image, bench.background(params.ambient_w_per_m2));
+    let ambient = params.ambient_w_per_m2;
+    let room = Detector::new(bench.image, bench.background(ambient));
+    let sunny = ImageParams { sun_w_per_m2_nm: bench.image.sun_w_per_m2_nm.max(SUN_W_PER_M2_NM), ..*bench.image };
     let rows = (2..=80).map(|i| f64::from(i) / 10.0).map(|distance_m| {
         let (white, stripe_px) = facing(bench, distance_m);
         let electrons = 0.5 * white;
@@ -97,12 +102,15 @@ pub(super) fn light(bench: &Bench, params: &DesignParams, floor_m: Option<[f64; 
             irradiance_w_per_m2: sheet.line_power_w_per_m(distance_m, 0.0) * across,
         }
     });
-    let lights = [("indoors", params.ambient_w_per_m2), ("sun", SUN_W_PER_M2)];
-    let reach =
-        lights.iter().flat_map(|&(name, ambient)| TARGETS.map(|target| reach(bench, target, name, ambient, floor_m)));
+    let lights = [("indoors", bench.image), ("sun", &sunny)];
+    let reach = lights.into_iter().flat_map(|(name, image)| {
+        let bench = Bench::new(bench.rig, image);
+        TARGETS.map(|target| reach(&bench, target, name, ambient, floor_m))
+    });
     Light {
         background_level: room.background * room.gain,
-        background_level_sun: bench.background(SUN_W_PER_M2) * room.gain,
+        sun_w_per_m2: sunny.background_w_per_m2(ambient),
+        background_level_sun: sunny.background_electrons(bench.rig, ambient) * room.gain,
         white_level: room.well * room.gain,
         noise_level: room.noise_levels(),
         found_level: room.found_levels(),
@@ -115,19 +123,19 @@ pub(super) fn light(bench: &Bench, params: &DesignParams, floor_m: Option<[f64; 
 fn reach(
     bench: &Bench,
     (target, albedo): (&'static str, f64),
-    ambient: &'static str,
-    w_per_m2: f64,
+    light: &'static str,
+    ambient_w_per_m2: f64,
     floor_m: Option<[f64; 2]>,
 ) -> Reach {
     // Where the background alone would fill more than half of the well, whoever uses the camera shortens the exposure.
-    let shorter = (0.5 * bench.image.well_electrons / bench.background(w_per_m2)).min(1.0);
-    let image = crate::scanner::ImageParams {
+    let shorter = (0.5 * bench.image.well_electrons / bench.background(ambient_w_per_m2)).min(1.0);
+    let image = ImageParams {
         exposure_s: bench.image.exposure_s * shorter,
         dark_electrons: bench.image.dark_electrons * shorter,
         ..*bench.image
     };
     let bench = Bench::new(bench.rig, &image);
-    let detector = Detector::new(&image, bench.background(w_per_m2));
+    let detector = Detector::new(&image, bench.background(ambient_w_per_m2));
     let steps = |near: f64, far: f64| (0..=600).map(move |i| near * (far / near).powf(f64::from(i) / 600.0));
     let stripe = |distance: f64| {
         let (white, stripe_px) = facing(&bench, distance);
@@ -144,7 +152,7 @@ fn reach(
     Reach {
         target,
         albedo,
-        ambient,
+        ambient: light,
         exposure_ms: image.exposure_s * 1e3,
         saturated_to_m: steps(0.2, FAR_M).rfind(|d| {
             let (electrons, stripe_px) = stripe(*d);

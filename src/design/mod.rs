@@ -5,7 +5,7 @@
 //! the robot's frame with the cylinder straight ahead and the floor at z = 0. Pure: no files, no printing.
 //!
 //! What a calibration leaves open is in the budget where the rig carries its covariance. What is left out: occlusion by the
-//! robot's own body, blooming, a second bounce, vignetting.
+//! robot's own body, blooming, a second bounce.
 
 mod beams;
 mod bench;
@@ -32,7 +32,7 @@ use crate::fault::{Fault, Result};
 pub use beams::{Line, Unseen, Watch};
 pub use budget::{Row, STANDS_OUT, TERMS, Terms};
 pub use changes::Change;
-pub use light::{Facing, Light, Reach, SUN_W_PER_M2, TARGETS};
+pub use light::{Facing, Light, Reach, TARGETS};
 pub use page::page;
 pub use params::{DesignParams, Instrument, Volume};
 pub use safety::{Emission, Safety, limits_w, safety};
@@ -216,7 +216,7 @@ fn assumed(instrument: &Instrument, params: &DesignParams) -> Vec<String> {
         list.push(format!("The rig does not say where its light comes from: {place}."));
     }
     list.push(format!(
-        "Floor and targets have an albedo of {}, the ambient light within the filter is {} W/m², the robot's radius {} m, its pitch against \
+        "Floor and targets have an albedo of {}, the ambient light through 10 nm is {} W/m², the robot's radius {} m, its pitch against \
          the floor good to {} mrad.",
         params.albedo,
         params.ambient_w_per_m2,

@@ -11,6 +11,7 @@ fn ideal() -> Instrument {
     let mut instrument = Instrument::metro_i();
     instrument.rig.camera.distortion = Distortion::Pinhole;
     instrument.image.f_number = 4.0;
+    instrument.image.vignetting = 3.0; // what a lens without any has
     instrument.validated().unwrap()
 }
 
@@ -102,7 +103,7 @@ fn errors_on_the_floor() {
         (3.7, 86.0, 45.0, 11.4, 1.6),
     ];
     with(&ideal(), |bench, budget| {
-        near(budget.speckle_px(), 0.08, 0.002);
+        near(bench.image.speckle_sigma_px(bench.rig), 0.08, 0.002);
         for (x, pulse, px, total, peak) in known {
             let row = budget.floor(x).unwrap();
             near(row.mm_per_pulse, pulse, 0.5);
@@ -172,4 +173,24 @@ fn the_covariance_of_a_calibration_is_in_the_budget() {
     // A camera that nods down and a beam that sinks change the range in opposite ways: together they nearly cancel.
     near(carrying([[1e-8, 1e-8], [1e-8, 1e-8]]), (tilt - beam).abs(), 1e-3 * tilt);
     near(carrying([[1e-8, -1e-8], [-1e-8, 1e-8]]), tilt + beam, 1e-3 * tilt);
+}
+
+#[test]
+fn the_image_of_the_scenario_is_the_one_that_is_judged() {
+    let ask = |change: &dyn Fn(&mut ImageParams)| {
+        let mut instrument = Instrument::metro_i();
+        change(&mut instrument.image);
+        let row = |bench: &Bench, budget: &Budget| budget.floor(2.0).map(|row| (row, bench.background(0.06)));
+        with(&instrument.validated().unwrap(), row).unwrap()
+    };
+    let (plain, background) = ask(&|_| {});
+    near(ask(&|image| image.speckle_contrast = 0.5).0.speckle_px, plain.speckle_px / 2.0, 1e-12);
+    assert_eq!(ask(&|image| image.speckle_contrast = 0.0).0.speckle_px, 0.0);
+    // Sun of 1.4 W/m² a nm is 14 of 0.006 indoors: 233 times that.
+    let lit = background - 200.0;
+    near(ask(&|image| image.sun_w_per_m2_nm = 1.4).1, 200.0 + lit * (1.0 + 1.4 / 0.006), 1e-6 * lit);
+    near(ask(&|image| image.filter_bandwidth_nm = 1.0).1, 200.0 + lit / 10.0, 1e-9 * lit);
+    assert!(ask(&|image| image.vignetting = 8.0).0.electrons < plain.electrons);
+    assert!(ask(&|image| image.exposure_s /= 2.0).0.electrons < 0.51 * plain.electrons);
+    assert!(ask(&|image| image.focus_m = 0.5).0.stripe_px > plain.stripe_px);
 }

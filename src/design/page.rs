@@ -474,6 +474,6 @@ fn assumed(all: &Design) -> String {
     }
     html + "</ul>"
         + &paragraph(
-            "Left out: shadows of the robot's own body, blooming, second bounces, vignetting, and steps of the floor itself.",
+            "Left out: shadows of the robot's own body, blooming, second bounces, and steps of the floor itself.",
         )
 }

@@ -97,7 +97,7 @@ pub struct DesignParams {
     pub resolution_m: f64,
     /// Albedo of floor and targets in the error budget.
     pub albedo: f64,
-    /// Ambient light within the filter's band [W/m²]: a lit room 0.06, direct sun 14 (`instrument.md` 1).
+    /// Ambient light within 10 nm of the laser [W/m²], as in a world: a lit room 0.06 (`instrument.md` 1).
     pub ambient_w_per_m2: f64,
     /// Power of the bare laser beam [W]; without it, what leaves the finder.
     pub source_power_w: Option<f64>,

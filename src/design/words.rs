@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::budget::{Row, TERMS};
 use super::light::Reach;
-use super::{Design, SUN_W_PER_M2};
+use super::Design;
 use crate::optics::Laser;
 
 /// What a finding is.
@@ -266,7 +266,8 @@ fn light(all: &Design) -> Vec<Finding> {
     ));
     let over = all.light.background_level_sun > all.light.white_level;
     let text = format!(
-        "In direct sun ({SUN_W_PER_M2} W/m² within the filter) {}: {}.",
+        "In direct sun ({} W/m² within the filter) {}: {}.",
+        short(all.light.sun_w_per_m2, 1),
         if over {
             "the background alone fills the sensor; with the exposure cut until it is half full"
         } else {

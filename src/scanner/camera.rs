@@ -1,5 +1,7 @@
 //! The simulated camera: what its lens and sensor are assumed to be.
 
+use std::f64::consts::PI;
+
 use serde::{Deserialize, Serialize};
 
 use crate::fault::{Fault, Result, number_within, positive};
@@ -125,7 +127,7 @@ impl ImageParams {
     /// No image shows it: who extracts the line must be told.
     pub fn speckle_sigma_px(&self, rig: &Rig) -> f64 {
         let row_m = self.focal_length_m / rig.camera.fy;
-        self.speckle_contrast * rig.sheet.wavelength_m * self.f_number / (std::f64::consts::PI * row_m)
+        self.speckle_contrast * rig.sheet.wavelength_m * self.f_number / (PI * row_m)
     }
 
     /// Ambient light and sun within the band-pass [W/m²]; `ambient_w_per_m2` is for 10 nm.
@@ -134,8 +136,38 @@ impl ImageParams {
     }
 
     /// Electrons that a joule of light in front of the lens becomes.
-    pub(super) fn electrons_per_joule(&self, wavelength_m: f64) -> f64 {
+    pub fn electrons_per_joule(&self, wavelength_m: f64) -> f64 {
         let transmission = self.lens_transmission * self.filter_transmission;
         transmission * self.quantum_efficiency * wavelength_m / PLANCK_TIMES_LIGHT
+    }
+
+    /// Mean electrons of a pixel on the axis without the laser: dark signal, ambient light (given for 10 nm) and sun.
+    pub fn background_electrons(&self, rig: &Rig, ambient_w_per_m2: f64) -> f64 {
+        // A pixel sees radiance ρE/π through the solid angle π/(4N²).
+        let pitch = self.focal_length_m * self.focal_length_m / (rig.camera.fx * rig.camera.fy);
+        let irradiance = self.background_w_per_m2(ambient_w_per_m2);
+        let power_w = irradiance * self.ambient_albedo / (4.0 * self.f_number * self.f_number) * pitch;
+        self.dark_electrons + power_w * self.exposure_s * self.electrons_per_joule(rig.sheet.wavelength_m)
+    }
+
+    /// Solid angle of the aperture from a place so far away [sr].
+    pub fn aperture_sr(&self, range_m: f64) -> f64 {
+        PI * (self.focal_length_m / (2.0 * self.f_number)).powi(2) / (range_m * range_m)
+    }
+
+    /// What is left of a stripe at an angle of this cosine off the axis. 1/R² and the slant of what is seen hold three of
+    /// the cosines of cosⁿα.
+    pub fn fall_off(&self, cosine: f64) -> f64 {
+        match self.vignetting - 3.0 {
+            1.0 => cosine,
+            power => cosine.powf(power),
+        }
+    }
+
+    /// RMS radius of the disc of defocus, a quarter of its diameter [px rows].
+    pub fn defocus_px(&self, rig: &Rig, range_m: f64) -> f64 {
+        let lf = self.focal_length_m;
+        let disc_m = lf / self.f_number * lf * (1.0 / range_m - 1.0 / self.focus_m).abs();
+        disc_m / 4.0 * rig.camera.fy / lf
     }
 }

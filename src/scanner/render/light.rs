@@ -63,8 +63,8 @@ impl View<'_> {
         let power_w = rig.sheet.line_power_w_per_m(x, y) * (fan / along_px.x).abs(); // p·Δy
 
         let range = to_eye.norm();
-        let aperture = PI * (params.focal_length_m / (2.0 * params.f_number)).powi(2) / (range * range); // Ω
-        let share = self.scattered(cut.body, &normal, &to_laser, &to_eye) * aperture * self.fall_off(camera.z / range);
+        let through = params.aperture_sr(range) * params.fall_off(camera.z / range);
+        let share = self.scattered(cut.body, &normal, &to_laser, &to_eye) * through;
         let joules = power_w * self.beam.share * share * params.exposure_s;
         let electrons = joules * params.electrons_per_joule(rig.sheet.wavelength_m);
         let sigma_px = self.stripe_sigma_px(&point, to_laser.norm(), range, row_per_m, slope);
@@ -90,14 +90,6 @@ impl View<'_> {
         diffuse + material.gloss * kappa / (TAU * (1.0 - (-2.0 * kappa).exp())) * (-kappa * off_axis).exp()
     }
 
-    /// What is left at the angle α off the axis. 1/R² and the slant of what is seen hold three of the cosines of cosⁿα.
-    fn fall_off(&self, cosine: f64) -> f64 {
-        match self.renderer.params.vignetting - 3.0 {
-            1.0 => cosine,
-            power => cosine.powf(power),
-        }
-    }
-
     /// RMS width of the stripe along a column before the pixels' own: the sheet's thickness (1/e² half width w = 2σ), its
     /// spread by what mirrored it, the lens' point spread, the disc of defocus (RMS a quarter of its diameter) and the
     /// rows a third of a column runs over.
@@ -106,9 +98,7 @@ impl View<'_> {
         let own_m = rig.sheet.thickness_m(laser_range_m) / 2.0 * self.beam.thinness;
         let spread_m = self.beam.mirror.map_or(0.0, |mirror| mirror.spread_m(point));
         let thick = own_m.hypot(spread_m) * row_per_m;
-        let lf = params.focal_length_m;
-        let disc_m = lf / params.f_number * lf * (1.0 / range_m - 1.0 / params.focus_m).abs();
-        let defocus = disc_m / 4.0 * rig.camera.fy / lf;
+        let defocus = params.defocus_px(rig, range_m);
         let run = slope / f64::from(PARTS) / 12f64.sqrt();
         let sum = thick * thick + defocus * defocus + run * run + params.point_spread_px.powi(2);
         sum.sqrt().min(rig.camera.height as f64)

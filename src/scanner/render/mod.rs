@@ -143,6 +143,11 @@ impl Renderer {
             number_within(&format!("body {}: albedo", body.name), body.material.albedo, 0.0, 1.0)?;
             number_within(&format!("body {}: gloss", body.name), body.material.gloss, 0.0, 1.0)?;
             number_within(&format!("body {}: gloss_spread_rad", body.name), body.material.gloss_spread_rad, 0.0, 1.0)?;
+            let sum = body.material.albedo + body.material.gloss;
+            if sum > 1.0 + 1e-9 {
+                let expected = "at most 1: a surface cannot send back more light than it gets";
+                return Err(Fault::new(format!("body {}: albedo + gloss", body.name), sum, expected));
+            }
         }
         let materials: Vec<Material> = scene.bodies.iter().map(|body| body.material).collect();
         let is_glossy = materials.iter().any(|material| material.gloss > 0.0);
@@ -269,15 +274,12 @@ fn column_of(part: i32) -> i32 {
 
 /// The sensor with the light that falls on it without the laser.
 fn sensor(rig: &Rig, params: &ImageParams, ambient_w_per_m2: f64) -> Sensor {
-    // A pixel sees radiance ρE/π through the solid angle π/(4N²).
-    let pitch = params.focal_length_m * params.focal_length_m / (rig.camera.fx * rig.camera.fy);
-    let irradiance = params.background_w_per_m2(ambient_w_per_m2);
-    let power_w = irradiance * params.ambient_albedo / (4.0 * params.f_number * params.f_number) * pitch;
-    let ambient = power_w * params.exposure_s * params.electrons_per_joule(rig.sheet.wavelength_m);
+    let background_electrons = params.background_electrons(rig, ambient_w_per_m2);
+    let ambient = background_electrons - params.dark_electrons;
     let detector = Detector {
         well_electrons: params.well_electrons,
         read_noise_electrons: params.read_noise_electrons,
-        background_electrons: params.dark_electrons + ambient,
+        background_electrons,
         blooming: params.blooming,
         white_level: params.white_level,
     };
