@@ -1,5 +1,6 @@
 //! Parse, run, exit code.
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -10,7 +11,8 @@ fn main() -> ExitCode {
         Ok(Exit::Done) => ExitCode::SUCCESS,
         Ok(Exit::Lossy) => ExitCode::from(3),
         Err(fault) => {
-            eprintln!("metromap: {fault}");
+            // That nobody reads it any more is no further error.
+            let _ = writeln!(std::io::stderr(), "metromap: {fault}");
             ExitCode::FAILURE
         }
     }

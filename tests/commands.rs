@@ -355,3 +355,70 @@ fn the_recordings_of_the_repository_are_mapped() {
         assert!(number(&map, "points") >= points_min, "{name}: {map}");
     }
 }
+
+/// A folder with two images of one bright line, and the rig of `tests/rigs` with something put wrong.
+fn folder_of_lines(dir: &TempDir, from: &str, to: &str) -> (String, String) {
+    let folder = dir.path().join("shots");
+    fs::create_dir(&folder).unwrap();
+    for number in 0..2 {
+        let lit = |_, v| image::Luma([if (300..303).contains(&v) { 200u8 } else { 10 }]);
+        image::GrayImage::from_fn(640, 480, lit).save(folder.join(format!("img{number}.png"))).unwrap();
+    }
+    let rig = fs::read_to_string(Path::new(ROOT).join("tests/rigs/robot_floor.toml")).unwrap();
+    assert!(rig.contains(from));
+    let file = dir.path().join("rig.toml");
+    fs::write(&file, rig.replace(from, to).replace("img*.jpg", "img*.png")).unwrap();
+    (folder.to_string_lossy().into_owned(), file.to_string_lossy().into_owned())
+}
+
+#[test]
+fn images_that_give_no_point_are_no_success() {
+    for (from, to, why) in [
+        ("offset_m = 0.16562456", "offset_m = -0.16562456", "no_point, expected lines of sight that meet the sheet"),
+        ("[0.0, 0.0, 0.2235]", "[0.0, 0.0, 223.5]", "out_of_range, expected points within range_m_max"),
+        (
+            "normal = [0.04493705, -0.93709475, 0.3461706]",
+            "normal = [-0.937, 0.045, 0.346]",
+            "a line at 88° to the image's rows",
+        ),
+        ("[laser]\n", "[laser_]\n", "this rig is of a camera alone"),
+    ] {
+        let dir = TempDir::new().unwrap();
+        let (folder, rig) = folder_of_lines(&dir, from, to);
+        let output = done(metromap(&["map", &folder, "--rig", &rig, "--out", &path(&dir, "out")]));
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        assert!(stderr(&output).contains(why), "{}", stderr(&output));
+    }
+    let dir = TempDir::new().unwrap();
+    fs::write(dir.path().join("a.png"), "no image").unwrap();
+    let output = done(metromap(&["extract", &path(&dir, "a.png")]));
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_reader_that_left_is_no_error_and_a_full_disk_is_one() {
+    let dir = TempDir::new().unwrap();
+    let mut child =
+        metromap(&["design", "--out", &path(&dir, "a")]).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    drop((child.stderr.take(), child.stdout.take()));
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    assert!(dir.path().join("a/design.html").exists());
+    if Path::new("/dev/full").exists() {
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let output = done({
+            let mut command = metromap(&["design", "--json", "--out", &path(&dir, "b")]);
+            command.stdout(full);
+            command
+        });
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        assert!(stderr(&output).contains("standard output"), "{}", stderr(&output));
+    }
+    // A file where the directory should be is told before anything long is computed.
+    fs::write(dir.path().join("file"), "").unwrap();
+    for command in ["design", "gallery", "reproduce"] {
+        let output = done(metromap(&[command, "--out", &path(&dir, "file")]));
+        assert_eq!(output.status.code(), Some(1));
+        assert!(stderr(&output).contains("--out: "), "{command}: {}", stderr(&output));
+    }
+}

@@ -1,11 +1,12 @@
 //! `metromap design`: what a finder will see, before it is built.
 
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::Exit;
+use super::tell::{answer, make_out, tell};
 use crate::design::{Design, DesignParams, Instrument, Volume, design, page};
 use crate::fault::{Fault, Result, number_within, positive};
 use crate::optics::{Laser, SlitOptics};
@@ -129,7 +130,7 @@ pub fn run(options: Options) -> Result<Exit> {
         Some(file) => fault.in_file(file),
         None => fault,
     })?;
-    std::fs::create_dir_all(&options.out).map_err(|e| Fault::io(&options.out, &e))?;
+    make_out(&options.out)?;
     let (html, json) = (options.out.join("design.html"), options.out.join("design.json"));
     let mut value = serde_json::to_value(&all).map_err(|e| Fault::new("design", e, "numbers that JSON can hold"))?;
     value["files"] = [&html, &json].map(|path| path.display().to_string()).to_vec().into();
@@ -137,8 +138,7 @@ pub fn run(options: Options) -> Result<Exit> {
         std::fs::write(path, text).map_err(|e| Fault::io(path, &e))?;
     }
     if options.json {
-        // Whoever read has seen enough if this fails.
-        let _ = writeln!(std::io::stdout(), "{value}");
+        answer(&value)?;
     } else {
         summary(&all, &html);
     }
@@ -146,11 +146,11 @@ pub fn run(options: Options) -> Result<Exit> {
 }
 
 fn summary(all: &Design, html: &Path) {
-    eprintln!("{}", all.name);
+    tell!("{}", all.name);
     for finding in &all.findings {
-        eprintln!("  {}: {}", finding.topic, finding.text);
+        tell!("  {}: {}", finding.topic, finding.text);
     }
-    eprintln!("open {}", html.display());
+    tell!("open {}", html.display());
 }
 
 /// The finder of a rig file or a scenario, or METRO-I.

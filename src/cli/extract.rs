@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::Exit;
 use super::session::{progress_bar, stop_requested};
+use super::tell::tell;
 use crate::fault::{Fault, Result};
 use crate::image::{Drop, Dropped, Image, Line, Peak};
 use crate::line::{Estimator, Extractor, Keep, LineParams};
@@ -128,7 +129,10 @@ pub fn run(options: Options) -> Result<Exit> {
     if lost == 0 {
         return Ok(Exit::Done);
     }
-    eprintln!("{lost} of {} images could not be used", images.len());
+    if lost == images.len() as u64 {
+        return Err(Fault::new("images", format!("{lost}, none of which could be used"), "at least one"));
+    }
+    tell!("{lost} of {} images could not be used", images.len());
     Ok(Exit::Lossy)
 }
 
@@ -183,6 +187,7 @@ fn setup(options: &Options) -> Result<Setup> {
         None => (options.channel.unwrap_or_default(), u8::MAX, None, LineParams::default()),
         Some(path) => {
             let file = rig_file::load(path)?;
+            file.rig.refuse_lines_along_columns().map_err(|fault| fault.in_file(path))?;
             let images = file.images.unwrap_or_default();
             let channel = options.channel.unwrap_or(images.channel);
             let size = (file.rig.camera.width, file.rig.camera.height);
@@ -288,8 +293,8 @@ impl Progress {
     /// A line on stderr, above the bar.
     fn say(&self, text: &str) {
         match &self.bar {
-            Some(bar) => bar.suspend(|| eprintln!("{text}")),
-            None => eprintln!("{text}"),
+            Some(bar) => bar.suspend(|| tell!("{text}")),
+            None => tell!("{text}"),
         }
     }
 
@@ -347,13 +352,15 @@ mod tests {
     }
 
     #[test]
-    fn a_background_of_another_size_is_a_loss_with_the_reason() {
+    fn a_background_of_another_size_is_a_loss() {
         let folder = tempfile::tempdir().unwrap();
         let (image, off) = (folder.path().join("image.png"), folder.path().join("off.png"));
         ::image::GrayImage::new(16, 16).save(&image).unwrap();
         ::image::GrayImage::new(16, 17).save(&off).unwrap();
+        let one = Options { images: vec![image.clone(), off.clone()], background: Some(off.clone()), ..options() };
+        assert_eq!(run(one).unwrap(), Exit::Lossy);
         let all = Options { images: vec![image.clone()], background: Some(off), ..options() };
-        assert_eq!(run(all).unwrap(), Exit::Lossy);
+        assert!(run(all).unwrap_err().to_string().contains("1, none of which could be used"));
         let same = Options { images: vec![image.clone()], background: Some(image.clone()), ..options() };
         assert_eq!(run(same).unwrap(), Exit::Done);
         let none = Options { images: vec![image], background: Some("none.png".into()), ..options() };

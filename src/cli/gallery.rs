@@ -1,6 +1,5 @@
 //! `metromap gallery`: what each effect of image formation does, drawn with and without it, for a person to look at.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -9,6 +8,7 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::Serialize;
 
 use super::Exit;
+use super::tell::{answer, make_out, tell};
 use crate::fault::{Fault, Result};
 use crate::geometry::{Robot, Transform};
 use crate::image::Image;
@@ -88,7 +88,7 @@ struct Effect {
 
 /// Runs the command.
 pub fn run(options: Options) -> Result<Exit> {
-    std::fs::create_dir_all(&options.out).map_err(|e| Fault::io(&options.out, &e))?;
+    make_out(&options.out)?;
     let write = |path: &Path, bytes: &[u8]| std::fs::write(path, bytes).map_err(|e| Fault::io(path, &e));
     let (mut shown, mut files, mut figures) = (Vec::new(), Vec::new(), String::new());
     for effect in effects() {
@@ -109,10 +109,9 @@ pub fn run(options: Options) -> Result<Exit> {
     write(&page, html::page("What is in a slit image", &format!("{intro}{figures}")).as_bytes())?;
     files.insert(0, page.display().to_string());
     if options.json {
-        // Whoever read has seen enough if this fails.
-        let _ = writeln!(std::io::stdout(), "{}", serde_json::json!({ "effects": shown, "files": files }));
+        answer(&serde_json::json!({ "effects": shown, "files": files }))?;
     } else {
-        eprintln!("{} effects drawn\nopen {}", shown.len(), page.display());
+        tell!("{} effects drawn\nopen {}", shown.len(), page.display());
     }
     Ok(Exit::Done)
 }

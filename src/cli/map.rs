@@ -8,8 +8,9 @@ use super::Exit;
 use super::output::{Output, start};
 use super::session::{Session, stop_requested};
 use super::summary::Summary;
+use super::tell::tell;
 use crate::fault::{Fault, Result};
-use crate::image::{Capture, Dropped};
+use crate::image::{Capture, Drop, Dropped};
 use crate::optics::Rig;
 use crate::pipeline::{Pipeline, PipelineParams};
 use crate::sources::images::ImageFolder;
@@ -85,7 +86,7 @@ pub fn run(options: Options) -> Result<Exit> {
     let failed = session.finish();
     result?;
     for complaint in input.captures.complaints() {
-        eprintln!("metromap: {complaint}");
+        tell!("metromap: {complaint}");
     }
     if session.captures == 0 && !stop_requested() {
         let found = format!("none that could be read; dropped: {:?}", session.dropped.0);
@@ -93,7 +94,30 @@ pub fn run(options: Options) -> Result<Exit> {
     }
     let files = opened.export(session.pipeline.maps())?;
     let summary = Summary::of(&session, None, None, files);
-    opened.close(&summary, options.output.json, &failed, &session)
+    let exit = opened.close(&summary, options.output.json, &failed, &session)?;
+    if session.points == 0 && !stop_requested() {
+        return Err(no_points(&session.dropped).in_file(&options.input));
+    }
+    Ok(exit)
+}
+
+/// Why captures gave no point at all, by what took most of them.
+fn no_points(dropped: &Dropped) -> Fault {
+    let why = dropped.0.iter().max_by_key(|(_, count)| **count);
+    let found = why.map_or("none".into(), |(why, count)| format!("none: {count} {why}"));
+    let expected = match why {
+        Some((Drop::NoPoint, _)) => {
+            "lines of sight that meet the sheet in front of the camera: look at the laser's plane and the sign of its offset_m"
+        }
+        Some((Drop::OutOfRange, _)) => {
+            "points within range_m_max of the robot: look at [mount] (metres, radians) and at the laser's plane"
+        }
+        Some((Drop::Dark | Drop::NotALine | Drop::Isolated, _)) => {
+            "a laser line: look at some images with `metromap extract`"
+        }
+        _ => "captures that fit the rig",
+    };
+    Fault::new("points", found, expected)
 }
 
 fn map_all(session: &mut Session, captures: &mut dyn Captures) -> Result<()> {

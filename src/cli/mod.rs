@@ -12,6 +12,7 @@ pub mod reproduce;
 pub mod run;
 mod session;
 mod summary;
+mod tell;
 pub mod view;
 
 use clap::{Parser, Subcommand};

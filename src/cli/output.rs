@@ -1,6 +1,5 @@
 //! Where `run` and `map` put their results: options, sinks, exports.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -8,6 +7,7 @@ use clap::{Args, ValueEnum};
 use super::Exit;
 use super::session::{Session, stop_requested};
 use super::summary::Summary;
+use super::tell::{answer, make_out, tell};
 use crate::fault::{Fault, Result};
 use crate::maps::Maps;
 use crate::sinks::export;
@@ -70,8 +70,7 @@ impl Output {
     /// Makes the directory and the sinks.
     pub fn open(&self, name: &str, record: bool) -> Result<Opened> {
         let dir = self.out.clone().unwrap_or_else(|| Path::new("out").join(name));
-        std::fs::create_dir_all(&dir)
-            .map_err(|e| Fault::new("--out", e, "a directory that exists or can be made").in_file(&dir))?;
+        make_out(&dir)?;
         let (mut targets, mut view) = (Vec::new(), None);
         if self.web {
             targets.push(Target::Web { port: self.port });
@@ -109,7 +108,7 @@ impl Opened {
     /// Says where the live viewer is.
     pub fn announce(&self) {
         if let Some(url) = &self.live {
-            eprintln!("live: open {url}");
+            tell!("live: open {url}");
         }
     }
 
@@ -117,16 +116,15 @@ impl Opened {
     pub fn close(&self, summary: &Summary, json: bool, failed: &[Fault], session: &Session) -> Result<Exit> {
         summary.save(&self.dir)?;
         if json {
-            // A reader that has gone away is no error.
-            let _ = writeln!(std::io::stdout(), "{}", summary.json());
+            answer(&summary.json())?;
         } else {
-            eprint!("{}", summary.text());
+            tell!("{}", summary.text().trim_end());
             if let Some(view) = &self.view {
-                eprintln!("look at it: metromap view {}", view.display());
+                tell!("look at it: metromap view {}", view.display());
             }
         }
         for fault in failed {
-            eprintln!("metromap: {fault}");
+            tell!("metromap: {fault}");
         }
         self.stay_open(session);
         let lossy = !failed.is_empty() || summary.dropped.lost() > 0;
@@ -137,7 +135,7 @@ impl Opened {
     fn stay_open(&self, session: &Session) {
         let Some(url) = &self.live else { return };
         session.hide_progress();
-        eprintln!("the viewer stays at {url} until Ctrl-C");
+        tell!("the viewer stays at {url} until Ctrl-C");
         while !stop_requested() {
             std::thread::sleep(std::time::Duration::from_millis(100));
         }

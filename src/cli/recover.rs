@@ -1,13 +1,13 @@
 //! `metromap recover`: a whole recording out of one that was cut off or damaged.
 
 use std::ffi::OsString;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::json;
 
 use super::Exit;
+use super::tell::{answer, tell};
 use crate::fault::Result;
 use crate::record::bag::{Recovered, recover};
 
@@ -36,10 +36,9 @@ pub fn run(options: Options) -> Result<Exit> {
     let output = options.out.unwrap_or_else(|| beside(&options.file));
     let recovered = recover(&options.file, &output)?;
     if options.json {
-        // A reader that has gone away is no error.
-        let _ = writeln!(std::io::stdout(), "{}", object(&options.file, &output, &recovered));
+        answer(&object(&options.file, &output, &recovered))?;
     } else {
-        eprint!("{}", text(&output, &recovered));
+        tell!("{}", text(&output, &recovered).trim_end());
     }
     Ok(if recovered.losses.is_none() { Exit::Done } else { Exit::Lossy })
 }

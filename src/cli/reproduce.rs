@@ -1,6 +1,5 @@
 //! `metromap reproduce`: the paper's tables and figures beside ours.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -8,6 +7,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use super::Exit;
 use super::session::progress_bar;
+use super::tell::{answer, make_out, tell};
 use crate::fault::{Fault, Result};
 use crate::geometry::{Robot, Transform, World};
 use crate::image::Image;
@@ -47,13 +47,13 @@ pub struct Options {
 
 /// Runs the command.
 pub fn run(options: Options) -> Result<Exit> {
+    make_out(&options.out)?;
     let effort = Effort { repeats: options.repeats, frames: options.frames, seed: options.seed };
     let mut studio = Studio { rig: Rig::metro_i(), seed: options.seed, set: None };
     let bar = progress_bar(Some(effort.pieces()));
     let all = reproduce(effort, Some(&mut studio), &|pieces| bar.inc(pieces));
     bar.finish_and_clear();
     let all = all?;
-    std::fs::create_dir_all(&options.out).map_err(|e| Fault::io(&options.out, &e))?;
     let (html, json) = (options.out.join("reproduce.html"), options.out.join("reproduce.json"));
     let mut value =
         serde_json::to_value(&all).map_err(|e| Fault::new("reproduction", e, "numbers that JSON can hold"))?;
@@ -62,25 +62,27 @@ pub fn run(options: Options) -> Result<Exit> {
         std::fs::write(path, text).map_err(|e| Fault::io(path, &e))?;
     }
     if options.json {
-        // Whoever read has seen enough if this fails.
-        let _ = writeln!(std::io::stdout(), "{value}");
+        answer(&value)?;
         return Ok(Exit::Done);
     }
     let compared = all.rows().filter(|(_, row)| row.agrees.is_some()).count();
     let off: Vec<_> = all.rows().filter(|(_, row)| row.agrees == Some(false)).collect();
-    eprintln!(
+    tell!(
         "{} of {compared} numbers agree; {} places where the print is wrong",
         compared - off.len(),
         all.misprints.len()
     );
     for (place, row) in off {
         let at = serde_json::to_string(&row.at).unwrap_or_default();
-        eprintln!(
+        tell!(
             "  {place}: {} {at}: paper {:?}, expected {:?}, ours {}",
-            row.quantity, row.paper, row.expected, row.ours
+            row.quantity,
+            row.paper,
+            row.expected,
+            row.ours
         );
     }
-    eprintln!("open {}", html.display());
+    tell!("open {}", html.display());
     Ok(Exit::Done)
 }
 

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use super::tell::tell;
 use crate::calibration::finder::drift::DriftState;
 use crate::fault::{Fault, Result};
 use crate::image::{Capture, Dropped, Reading};
@@ -130,7 +131,7 @@ impl Session {
         }
         if news {
             if alarm {
-                self.bar.suspend(|| eprintln!("metromap: {text}"));
+                self.bar.suspend(|| tell!("metromap: {text}"));
             }
             self.log(if alarm { "WARN" } else { "INFO" }, text);
         }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::session::Session;
 use crate::calibration::finder::drift::{Drift, DriftState};
 use crate::fault::{Fault, Result};
-use crate::image::Dropped;
+use crate::image::{Drop, Dropped};
 use crate::maps::{OccupancySummary, TerrainSummary};
 use crate::navigation::MissionProgress;
 use crate::sources::Verdict;
@@ -152,7 +152,11 @@ impl Summary {
             self.terrain.mesh.max_error_m * 1e3
         ));
         if let Some(mission) = self.mission {
-            let cut = if mission.ended < mission.steps { ": the time was over before the mission" } else { "" };
+            let cut = match mission.ended < mission.steps {
+                true if self.interrupted => ": it was interrupted",
+                true => ": the time was over before the mission",
+                false => "",
+            };
             let blocked = match mission.given_up {
                 0 => String::new(),
                 count => format!(", {count} of them given up: the way was blocked (see the log)"),
@@ -181,6 +185,12 @@ impl Summary {
             let reasons: Vec<String> =
                 self.dropped.0.iter().filter(|(why, _)| why.is_loss()).map(|(why, n)| format!("{n} {why}")).collect();
             line(format!("data lost: {}", reasons.join(", ")));
+        }
+        let far = [Drop::NoPoint, Drop::OutOfRange, Drop::Uncertain];
+        let unplaced: Vec<String> =
+            far.iter().filter_map(|why| self.dropped.0.get(why).map(|n| format!("{n} {why}"))).collect();
+        if !unplaced.is_empty() {
+            line(format!("columns with a line but without a point: {}", unplaced.join(", ")));
         }
         line(format!("digest of the maps: {}", self.digest));
         text

@@ -5,6 +5,7 @@ use std::process::Command;
 use std::sync::mpsc;
 
 use super::Exit;
+use super::tell::tell;
 use crate::fault::{Fault, Result};
 use crate::sinks::rerun::{FileServer, check_file};
 
@@ -36,8 +37,8 @@ pub fn run(options: Options) -> Result<Exit> {
     let (interrupt, interrupted) = mpsc::channel();
     ctrlc::set_handler(move || interrupt.send(()).unwrap_or_default())
         .map_err(|e| Fault::new("Ctrl-C", e, "a signal that can be handled"))?;
-    eprintln!("open this: {}", server.url());
-    eprintln!("Ctrl-C ends it.");
+    tell!("open this: {}", server.url());
+    tell!("Ctrl-C ends it.");
     interrupted.recv().ok();
     Ok(Exit::Done)
 }

@@ -116,6 +116,8 @@ pub struct Rig {
     pub covariance: RigCovariance,
 }
 
+/// Steeper than this against the rows no line is looked for along the columns [°].
+const STEEP_DEG_MAX: f64 = 75.0;
 /// The mirror's and the cylinder's encoders: 4000 pulses a turn of the beam (`paper.md` 5.4).
 const RAD_PER_PULSE: f64 = TAU / 4000.0;
 
@@ -231,6 +233,22 @@ impl Rig {
         }
     }
 
+    /// Refuses a sheet whose line runs along the image's columns, each of which is searched for one crossing.
+    pub fn refuse_lines_along_columns(&self) -> Result<()> {
+        let sheet = self.laser_plane_at(0.0)?;
+        // A wall that faces the camera shows the line n·(x, y, 1) = const: along (−n_y/f_y, n_x/f_x) per pixel.
+        let normal = self.sensor_from_camera.inverse().rotate(&sheet.plane.normal);
+        let steep_deg = (normal.x / self.camera.fx).atan2(normal.y / self.camera.fy).to_degrees().abs();
+        let steep_deg = steep_deg.min(180.0 - steep_deg);
+        if steep_deg <= STEEP_DEG_MAX {
+            return Ok(());
+        }
+        let found = format!("a line at {steep_deg:.0}° to the image's rows");
+        let expected =
+            "less than 75°, as each column is searched for one crossing: turn the camera or its images by 90°";
+        Err(Fault::new("laser", found, expected))
+    }
+
     /// Eq. (7): the pose of the turned cylinder on the robot.
     pub fn robot_from_sensor(&self, cylinder_pulse: i32) -> Result<Transform<Robot, Sensor>> {
         Ok(self.robot_from_sensor_at(self.cylinder.angle("cylinder encoder", cylinder_pulse)?))
@@ -285,6 +303,18 @@ mod tests {
             assert_eq!(turned.round(), pulses);
         }
         assert!((rig.beam_rad(0).unwrap() - beam_at(2704.210)).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_line_that_runs_along_the_columns_is_refused() {
+        let with = |normal| {
+            let laser = Laser::Plane(PlaneLaser { normal, offset_m: 0.1, origin_m: None });
+            Rig { laser, ..Rig::metro_i() }.refuse_lines_along_columns()
+        };
+        assert!(Rig::metro_i().refuse_lines_along_columns().is_ok());
+        assert!(with([0.0, 1.0, -0.3]).is_ok() && with([-0.7, -0.7, 0.2]).is_ok());
+        let fault = with([-0.95, 0.01, 0.3]).unwrap_err().to_string();
+        assert!(fault.contains("a line at 89°"), "{fault}");
     }
 
     #[test]

@@ -219,9 +219,10 @@ impl ImageFolder {
     /// Errors: no folder, no images in it, a rig without `[images]`, or poses that cannot be read or do not fit.
     pub fn open(folder: &Path, rig: &RigFile) -> Result<Self> {
         let Some(spec) = rig.images.clone() else {
-            return Err(Fault::new("images", "nothing", "a table [images] in the rig file").in_file(&rig.path));
+            return Err(Fault::new("images", "nothing", "a table [images]: how they are read and where they were taken, such as step_m = 0.02 (README.md, Your own images)").in_file(&rig.path));
         };
         let spec = spec.validated().map_err(|fault| fault.in_file(&rig.path))?;
+        rig.rig.refuse_lines_along_columns().map_err(|fault| fault.in_file(&rig.path))?;
         let files = list(folder, &spec)?;
         let poses = Poses::read(&spec, &rig.path, &files)?;
         let size = (rig.rig.camera.width, rig.rig.camera.height);

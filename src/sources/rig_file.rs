@@ -240,7 +240,11 @@ pub fn to_toml(rig: &Rig) -> String {
 }
 
 fn document(text: &str) -> Result<Document> {
-    versioned(text)?;
+    let table = versioned(text)?;
+    if table.contains_key("camera") && !table.contains_key("laser") {
+        let expected = "[laser] and [mount]: `metromap calibrate plane` adds the laser to a camera";
+        return Err(Fault::new("laser", "nothing: this rig is of a camera alone", expected));
+    }
     toml::from_str(text).map_err(|error| wrong(text, &error))
 }
 
@@ -615,7 +619,7 @@ offset_m = 0.166
         assert_eq!(load_camera(&path).unwrap(), camera);
         // It is no whole rig yet, and says what is missing.
         assert!(load_if_whole(&path).unwrap().is_none());
-        assert!(load(&path).unwrap_err().to_string().contains("missing field"));
+        assert!(load(&path).unwrap_err().to_string().contains("a camera alone"));
         std::fs::write(&path, GOOD).unwrap();
         assert!(load_if_whole(&path).unwrap().is_some());
         assert_eq!(load_camera(&path).unwrap(), load(&path).unwrap().rig.camera);
