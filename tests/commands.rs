@@ -253,8 +253,8 @@ fn bad_inputs_of_the_other_commands_are_answered() {
     fs::write(dir.path().join("not.mcap"), "hello").unwrap();
     fs::write(dir.path().join("rig.toml"), "version = 1\nname = \"x\"\n").unwrap();
     let cases: [(&[&str], i32, &str); 8] = [
-        (&["extract", &path(&dir, "empty.png")], 3, "empty.png"),
-        (&["extract", &path(&dir, "absent.png")], 3, "absent.png"),
+        (&["extract", &path(&dir, "empty.png")], 1, "empty.png"),
+        (&["extract", &path(&dir, "absent.png")], 1, "absent.png"),
         (&["map", &path(&dir, "not.mcap")], 1, "not.mcap"),
         (&["map", &path(&dir, "nowhere")], 1, "nowhere"),
         (&["map", &path(&dir, "")], 1, "rig.toml"),
