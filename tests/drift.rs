@@ -72,6 +72,46 @@ fn a_bump_is_told_named_and_told_again_from_the_recording() {
 }
 
 #[test]
+fn a_hard_knock_is_told() {
+    let dir = TempDir::new().unwrap();
+    for (name, by) in [("roll_rad", 0.08), ("tilt_rad", 0.1), ("slit_roll_rad", 0.05), ("pan_rad", 0.2)] {
+        let bump = format!("{name}={by}");
+        let (run, told) =
+            metromap(&["run", "worlds/lab.toml", "--duration-s", "40", "--bump", &bump], &dir.path().join(name));
+        let drift = &run["drift"];
+        assert_eq!(drift["state"], "moved", "{name}: {drift}");
+        let named = drift["moved"].as_array().unwrap().iter().find(|moved| moved["parameter"] == name);
+        let found = named.unwrap_or_else(|| panic!("{name} is not named: {drift}"))["by"].as_f64().unwrap();
+        assert!((found - by).abs() < 0.02 * by, "{name}: {drift}");
+        assert!(told.contains("calibration does not fit") && told.contains(name), "{told}");
+    }
+}
+
+#[test]
+fn a_line_at_the_edge_of_the_image_cancels_no_alarm() {
+    let dir = TempDir::new().unwrap();
+    let bare = dir.path().join("bare.toml");
+    let world = "name = \"bare\"\n[world]\nground = { material = \"linoleum\" }\n[world.material.linoleum]\nalbedo = 0.5\n\
+                 [finder.sweep]\nlines = [-51, -50, -40, 0, 40, 80, 120, 145]\n";
+    fs::write(&bare, world).unwrap();
+    let args = ["run", bare.to_str().unwrap(), "--duration-s", "20", "--bump", "roll_rad=0.02"];
+    let (run, _) = metromap(&args, &dir.path().join("run"));
+    assert_eq!(run["drift"]["state"], "moved", "{}", run["drift"]);
+    assert_eq!(run["drift"]["moved"][0]["parameter"], "roll_rad", "{}", run["drift"]);
+}
+
+#[test]
+fn what_was_not_checked_is_told_with_how_much_was_seen() {
+    let dir = TempDir::new().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metromap"));
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(["run", "worlds/corridor.toml", "--duration-s", "3", "--out"]);
+    let output = command.arg(dir.path()).output().unwrap();
+    let told = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+    assert!(told.contains("calibration not checked: 0 of the last"), "{told}");
+    assert!(told.contains("and 40 must"), "{told}");
+}
+
+#[test]
 fn a_bump_of_nothing_is_refused() {
     for (bump, code, words) in [
         ("tlit_rad=0.1", 1, "tlit_rad"),

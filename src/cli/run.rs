@@ -64,9 +64,9 @@ collisions, mission {steps, ended, given_up}, occupancy {resolution_m, occupied,
 truth {point_rms_m, point_rms_m_within_3m, point_outliers, occupancy_precision, occupancy_recall (also _low, _high: below \
 and above 0.1 m), terrain_rmse_m, terrain_coverage, pose_rms_m, pose_rms_rad, objects {name: {seen, found, is_found}}}, \
 absent [what the world asks for and is not simulated], \
-drift {state: unseen | fits | moved | several, captures, readings, floor_share, misfit_m, misfit_after_m, \
-moved [{parameter, by, sigma, unit, explains}], first_alarm_capture} (where the floor is known to be flat: whether the \
-calibration fits it, and what moved), digest (SHA-256 of the maps), files, interrupted.";
+drift {state: unseen | fits | moved | several | no_floor, captures, captures_needed, lines, readings, floor_share, \
+below_share, misfit_m, misfit_after_m, moved [{parameter, by, sigma, unit, explains}], first_alarm_capture} (where the \
+floor is known to be flat: whether the calibration fits it, and what moved), digest (SHA-256 of the maps), files, interrupted.";
 
 /// Runs the command.
 pub fn run(options: Options) -> Result<Exit> {

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::session::Session;
-use crate::calibration::finder::drift::{Drift, DriftState};
+use crate::calibration::finder::drift::Drift;
 use crate::fault::{Fault, Result};
 use crate::image::{Drop, Dropped};
 use crate::maps::{OccupancySummary, TerrainSummary};
@@ -166,7 +166,7 @@ impl Summary {
         if let Some(truth) = &self.truth {
             line(truth.text());
         }
-        if let Some(watched) = self.drift.as_ref().filter(|watched| watched.drift.state != DriftState::Unseen) {
+        if let Some(watched) = &self.drift {
             line(watched.drift.to_string());
         }
         // Elements such as <gui> are many and change little; what is missing from the world is told one by one.

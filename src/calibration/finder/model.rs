@@ -315,8 +315,10 @@ pub(super) struct SlitLine {
 
 /// Where the sheet at these encoder readings (whole or not) meets a surface; `None` if it does not.
 pub(super) fn slit_line(rig: &Rig, mirror_pulse: f64, cylinder_pulse: f64, surface: &Plane<Robot>) -> Option<SlitLine> {
-    let Laser::Mirror(mirror) = rig.laser else { return None };
-    let beam = mirror.beam.zero_rad + mirror_pulse * mirror.beam.rad_per_pulse;
+    let beam = match rig.laser {
+        Laser::Mirror(mirror) => mirror.beam.zero_rad + mirror_pulse * mirror.beam.rad_per_pulse,
+        Laser::Plane(_) => 0.0,
+    };
     let turned = rig.cylinder.zero_rad + cylinder_pulse * rig.cylinder.rad_per_pulse;
     let robot_from_sensor = rig.robot_from_sensor_at(turned);
     let sheet = (robot_from_sensor * rig.laser_plane_at(beam).ok()?).plane;

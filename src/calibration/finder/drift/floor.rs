@@ -2,9 +2,8 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::{Block, DriftWatch, Look, median};
+use super::{Block, DriftWatch, Look, SCATTER_MAX_PX, median};
 use crate::calibration::finder::model::{SlitLine, slit_line};
-use crate::calibration::finder::simulate::row_at;
 use crate::geometry::{Plane, Robot};
 use crate::optics::Rig;
 
@@ -14,16 +13,20 @@ const OFF_MAX_PX: f64 = 100.0;
 const BEND_PX: usize = 3;
 /// How near the bend blocks must be, one look after the other [px]; the last one by their own scatter.
 const GATES_PX: [f64; 6] = [6.0, 4.0, 3.0, 2.0, 1.5, 1.0];
-/// The floor must be so large a part of what is seen.
+/// The floor must be so large a part of what could be floor by its slope.
 const SHARE_MIN: f64 = 0.35;
 /// Numbers that describe how the floor's misfit bends over image, mirror and cylinder.
 const BENDS: usize = 12;
+/// A block is off the floor, above or below, beyond so many times the height that is overlooked, and so many pixels.
+const OFF_FLOOR: (f64, f64) = (3.0, 3.0);
 
 /// A block on the floor.
 pub(super) struct Reading {
     pub block: Block,
-    /// The smooth misfit there [px].
+    /// The smooth misfit there, of the calibrated finder [px].
     pub bend: f64,
+    /// What is left without it: the noise [px].
+    pub noise: f64,
     /// Rows that a floor higher by one metre would move by [px/m].
     pub px_per_m: f64,
 }
@@ -39,49 +42,79 @@ pub(super) struct Floor<'a> {
     pub seen: Vec<Seen<'a>>,
     /// Share of all blocks that is floor.
     pub share: f64,
+    /// The shift about which it was found: name and size. Nothing moved, otherwise.
+    pub about: Option<(&'static str, f64)>,
+}
+
+/// A block that may be floor of some finder.
+struct Candidate<'a> {
+    look: &'a Look,
+    block: &'a Block,
+    /// Its row minus that of the floor [px].
+    off: f64,
+    bends: [f64; BENDS],
+}
+
+/// The blocks that lie along the floor's line of some finder, off it or not.
+pub(super) struct Candidates<'a>(Vec<Candidate<'a>>);
+
+impl<'a> Candidates<'a> {
+    pub fn of(watch: &DriftWatch, rig: &Rig, looks: impl Iterator<Item = &'a Look>) -> Self {
+        let half = watch.block_px() / 2.0;
+        let rows = 0.0..rig.camera.height as f64;
+        let mut candidates = Vec::new();
+        for look in looks {
+            let Some(line) = slit_line(rig, look.mirror_pulse, look.cylinder_pulse, &watch.floor) else { continue };
+            for block in &look.blocks {
+                let at = |du: f64| line.rows_off(&rig.camera, block.u + du, block.v + block.slope * du);
+                let (Some(off), Some(left), Some(right)) = (at(0.0), at(-half), at(half)) else { continue };
+                // Across the floor's line by more than rows may scatter: a wall, or the edge of something.
+                let along = (right - left).abs() / 4.0 <= SCATTER_MAX_PX;
+                if along && rows.contains(&(block.v - off)) {
+                    candidates.push(Candidate { look, block, off, bends: bends(rig, look, block, off) });
+                }
+            }
+        }
+        Self(candidates)
+    }
+
+    /// How many of them are off by the same.
+    pub fn most_alike(&self) -> usize {
+        most_common(self.0.iter().map(|candidate| candidate.off)).map_or(0, |(_, count)| count)
+    }
 }
 
 impl<'a> Floor<'a> {
-    /// The floor in what the watch has seen; `None` if there is no telling.
-    pub fn in_looks(watch: &'a DriftWatch) -> Option<Self> {
-        let all: Vec<(&Look, &Block, [f64; BENDS])> = (watch.looks.iter())
-            .flat_map(|look| look.blocks.iter().map(move |block| (look, block, bends(watch, look, block))))
-            .collect();
-        let mut fit = DVector::zeros(BENDS);
-        fit[0] = most_common(all.iter().map(|(_, block, _)| block.off))?;
-        let mut gate = 0.0;
-        for step in GATES_PX.into_iter().map(Some).chain([None, None]) {
-            let off = |(_, block, bends): &(&Look, &Block, [f64; BENDS])| block.off - dot(bends, &fit);
-            gate = step.unwrap_or_else(|| {
-                let mut sizes: Vec<f64> = all.iter().map(|b| off(b).abs()).filter(|size| *size < gate).collect();
-                (4.0 * 1.4826 * median(&mut sizes)).max(0.4)
-            });
-            let near: Vec<&(&Look, &Block, [f64; BENDS])> =
-                all.iter().filter(|block| off(block).abs() < gate).collect();
-            fit = least_squares(&near)?;
-        }
-        let near = |block: &Block, bend: f64| (block.off - bend).abs() < gate;
+    /// The floor about where the finder with one shift would see it, or the calibrated one; `None` if there is no telling.
+    pub fn about(watch: &'a DriftWatch, about: Option<(&'static str, f64)>) -> Option<Self> {
+        let calibrated = watch.shifts.nominal();
+        let rig = about.map_or_else(|| calibrated.clone(), |(name, by)| watch.shifts.moved(name, by));
+        let all = Candidates::of(watch, &rig, watch.looks.iter()).0;
+        let (fit, gate) = bent(&all)?;
         let mut seen: Vec<Seen> = Vec::new();
         let mut count = 0;
-        for look in &watch.looks {
-            let mut readings = Vec::new();
-            let raised = Raised::of(watch, look);
-            for block in &look.blocks {
-                let bend = dot(&bends(watch, look, block), &fit);
-                if near(block, bend)
-                    && let Some(px_per_m) = raised.as_ref().and_then(|raised| raised.px_per_m(&watch.rig, block.u))
-                {
-                    readings.push(Reading { block: *block, bend, px_per_m });
-                }
+        let mut lines = None;
+        for Candidate { look, block, off, bends } in all.iter() {
+            let noise = off - dot(bends, &fit);
+            if noise.abs() >= gate {
+                continue;
             }
-            count += readings.len();
-            // A block or two in a capture may be anything.
-            if readings.len() >= 3 {
-                seen.push(Seen { look, readings });
+            count += 1;
+            if seen.last().is_none_or(|last| !std::ptr::eq(last.look, *look)) {
+                seen.push(Seen { look, readings: Vec::new() });
+                lines = Lines::of(watch, &rig, look);
+            }
+            if let Some(last) = seen.last_mut()
+                && let Some(reading) = lines.as_ref().and_then(|lines| lines.reading(watch, &rig, block, noise))
+            {
+                last.readings.push(reading);
             }
         }
+        // A block or two in a capture may be anything.
+        seen.retain(|seen| seen.readings.len() >= 3);
         let share = count as f64 / all.len().max(1) as f64;
-        (share >= SHARE_MIN).then_some(Self { seen, share })
+        let blocks: usize = watch.looks.iter().map(|look| look.blocks.len()).sum();
+        (share >= SHARE_MIN).then(|| Self { seen, share: count as f64 / blocks.max(1) as f64, about })
     }
 
     pub fn captures(&self) -> usize {
@@ -99,12 +132,45 @@ impl<'a> Floor<'a> {
     }
 }
 
+/// The shares of all blocks that lie on the floor of the calibrated finder and below it, where nothing can be.
+pub(super) fn on_and_below(watch: &DriftWatch) -> (f64, f64) {
+    let rig = watch.shifts.nominal();
+    let (mut all, mut on, mut below) = (0.0, 0.0, 0.0);
+    for look in &watch.looks {
+        let Some(lines) = Lines::of(watch, rig, look) else { continue };
+        for block in &look.blocks {
+            let Some(Reading { bend: off, px_per_m, .. }) = lines.reading(watch, rig, block, 0.0) else { continue };
+            let gate = (OFF_FLOOR.0 * watch.params.misfit_m * px_per_m.abs()).max(OFF_FLOOR.1);
+            all += 1.0;
+            on += f64::from(u8::from(off.abs() < gate));
+            below += f64::from(u8::from(off * px_per_m.signum() <= -gate));
+        }
+    }
+    (on / f64::max(all, 1.0), below / f64::max(all, 1.0))
+}
+
+/// How the most of these are off, and how near to that a block must be.
+fn bent(all: &[Candidate]) -> Option<(DVector<f64>, f64)> {
+    let mut fit = DVector::zeros(BENDS);
+    fit[0] = most_common(all.iter().map(|candidate| candidate.off))?.0;
+    let mut gate = 0.0;
+    for step in GATES_PX.into_iter().map(Some).chain([None, None]) {
+        let off = |candidate: &Candidate| candidate.off - dot(&candidate.bends, &fit);
+        gate = step.unwrap_or_else(|| {
+            let mut sizes: Vec<f64> = all.iter().map(|c| off(c).abs()).filter(|size| *size < gate).collect();
+            (4.0 * 1.4826 * median(&mut sizes)).max(0.4)
+        });
+        let near: Vec<&Candidate> = all.iter().filter(|candidate| off(candidate).abs() < gate).collect();
+        fit = least_squares(&near)?;
+    }
+    Some((fit, gate))
+}
+
 /// How a misfit may bend: over rows to the third, columns to the second, and with the cylinder's heading.
-fn bends(watch: &DriftWatch, look: &Look, block: &Block) -> [f64; BENDS] {
-    let camera = &watch.rig.camera;
-    let u = 2.0 * block.u / camera.width as f64 - 1.0;
-    let v = 2.0 * (block.v - block.off) / camera.height as f64 - 1.0;
-    let (s, c) = (watch.rig.cylinder.zero_rad + look.cylinder_pulse * watch.rig.cylinder.rad_per_pulse).sin_cos();
+fn bends(rig: &Rig, look: &Look, block: &Block, off: f64) -> [f64; BENDS] {
+    let u = 2.0 * block.u / rig.camera.width as f64 - 1.0;
+    let v = 2.0 * (block.v - off) / rig.camera.height as f64 - 1.0;
+    let (s, c) = (rig.cylinder.zero_rad + look.cylinder_pulse * rig.cylinder.rad_per_pulse).sin_cos();
     [1.0, v, v * v, v * v * v, u, u * v, u * v * v, u * u, s, c, u * s, u * c]
 }
 
@@ -112,8 +178,8 @@ fn dot(bends: &[f64; BENDS], fit: &DVector<f64>) -> f64 {
     bends.iter().zip(fit.iter()).map(|(b, f)| b * f).sum()
 }
 
-/// The middle of the most common offset, some pixels wide.
-fn most_common(offs: impl Iterator<Item = f64>) -> Option<f64> {
+/// The middle of the most common offset, some pixels wide, and how many have it.
+fn most_common(offs: impl Iterator<Item = f64>) -> Option<(f64, usize)> {
     let size = 2 * OFF_MAX_PX as usize;
     let mut counts = vec![0usize; size];
     for off in offs.filter(|off| off.abs() < OFF_MAX_PX) {
@@ -123,19 +189,19 @@ fn most_common(offs: impl Iterator<Item = f64>) -> Option<f64> {
     }
     let around = |i: usize| counts[i.saturating_sub(BEND_PX)..(i + BEND_PX + 1).min(size)].iter().sum::<usize>();
     let best = (0..size).rev().max_by_key(|i| around(*i)).filter(|i| around(*i) > 0)?;
-    Some(best as f64 - OFF_MAX_PX + 0.5)
+    Some((best as f64 - OFF_MAX_PX + 0.5, around(best)))
 }
 
-fn least_squares(near: &[&(&Look, &Block, [f64; BENDS])]) -> Option<DVector<f64>> {
+fn least_squares(near: &[&Candidate]) -> Option<DVector<f64>> {
     if near.len() < 4 * BENDS {
         return None;
     }
     let mut normal = DMatrix::<f64>::zeros(BENDS, BENDS);
     let mut right = DVector::zeros(BENDS);
-    for (_, block, bends) in near {
-        for (a, x) in bends.iter().enumerate() {
-            right[a] += x * block.off;
-            for (b, y) in bends.iter().enumerate() {
+    for candidate in near {
+        for (a, x) in candidate.bends.iter().enumerate() {
+            right[a] += x * candidate.off;
+            for (b, y) in candidate.bends.iter().enumerate() {
                 normal[(a, b)] += x * y;
             }
         }
@@ -147,24 +213,29 @@ fn least_squares(near: &[&(&Look, &Block, [f64; BENDS])]) -> Option<DVector<f64>
     Some(normal.cholesky()?.solve(&right))
 }
 
-/// The lines of a capture on a floor that is as it should be, and on one a little higher.
-struct Raised {
+/// The lines of a capture on the floor: of the calibrated finder, of the one that is asked, and of that on a floor a little
+/// higher.
+struct Lines {
+    calibrated: SlitLine,
     floor: SlitLine,
     higher: SlitLine,
 }
 
-impl Raised {
+impl Lines {
     const STEP_M: f64 = 0.005;
 
-    fn of(watch: &DriftWatch, look: &Look) -> Option<Self> {
+    fn of(watch: &DriftWatch, rig: &Rig, look: &Look) -> Option<Self> {
         let higher = Plane::<Robot>::new(Vector3::z(), Self::STEP_M)?;
-        let line = |floor| slit_line(&watch.rig, look.mirror_pulse, look.cylinder_pulse, floor);
-        Some(Self { floor: line(&watch.floor)?, higher: line(&higher)? })
+        let line = |rig, floor| slit_line(rig, look.mirror_pulse, look.cylinder_pulse, floor);
+        let calibrated = line(watch.shifts.nominal(), &watch.floor)?;
+        Some(Self { calibrated, floor: line(rig, &watch.floor)?, higher: line(rig, &higher)? })
     }
 
-    /// How the row answers to the floor's height at a column [px/m].
-    fn px_per_m(&self, rig: &Rig, u: f64) -> Option<f64> {
-        let rows = row_at(rig, &self.higher, u)? - row_at(rig, &self.floor, u)?;
-        Some(rows / Self::STEP_M).filter(|slope| slope.abs() > 1.0)
+    fn reading(&self, watch: &DriftWatch, rig: &Rig, block: &Block, noise: f64) -> Option<Reading> {
+        // Against lines outside the image as well.
+        let off = |line: &SlitLine, rig: &Rig| line.rows_off(&rig.camera, block.u, block.v);
+        let px_per_m = (off(&self.floor, rig)? - off(&self.higher, rig)?) / Self::STEP_M;
+        let bend = off(&self.calibrated, watch.shifts.nominal())? - noise;
+        (px_per_m.abs() > 1.0).then_some(Reading { block: *block, bend, noise, px_per_m })
     }
 }

@@ -1,37 +1,21 @@
 //! Which single parameter explains a floor that does not fit.
 
 use super::floor::{Floor, Seen};
+use super::shift::Suspect;
 use super::{Drift, DriftState, DriftWatch, Moved};
-use crate::calibration::finder::model::{PARAMETERS, slit_line};
-use crate::calibration::finder::simulate::row_at;
+use crate::calibration::finder::model::{SlitLine, slit_line};
 use crate::optics::Rig;
 
-/// What a bump moves, and a step of it that bends rows but little, as places in [`PARAMETERS`]: all but the chip's scale and
-/// distortion, which no bump changes, and the optical centre, which a floor does not tell from tilt and pan.
-const SUSPECTS: [&str; 14] = [
-    "camera_height_m",
-    "x0_m",
-    "tilt_rad",
-    "roll_rad",
-    "pan_rad",
-    "mirror_height_m",
-    "beam_zero_rad",
-    "beam_rad_per_pulse",
-    "slit_roll_rad",
-    "mirror_x_m",
-    "camera_y_m",
-    "axis_pitch_rad",
-    "axis_roll_rad",
-    "f_mm",
-];
 /// So many captures are asked, evenly over those there are.
 const CAPTURES: usize = 100;
 /// Two parameters are told apart if one leaves more misfit by so many in χ²: three deviations.
 const APART: f64 = 9.0;
 /// A parameter that explains less of the floor's squared height than this is not the only one that moved.
 const EXPLAINS_MIN: f64 = 0.9;
-/// Each is fitted in so many steps: rows bend with large shifts.
-const STEPS: usize = 3;
+/// Each is fitted in so many steps at most, rows bend with large shifts; in fewer if a step is so small a part of a
+/// deviation.
+const STEPS: usize = 12;
+const STEP_MIN: f64 = 0.01;
 
 /// What is left of the readings.
 #[derive(Clone, Copy)]
@@ -48,29 +32,29 @@ struct Answer {
     left: Left,
 }
 
-/// Names what moved.
+/// Names what moved. The floor does not fit, whatever the answer: where none can be named it is several.
 pub(super) fn suspected(watch: &DriftWatch, floor: &Floor, drift: Drift) -> Drift {
+    let drift = Drift { state: DriftState::Several, ..drift };
     let every = floor.seen.len().div_ceil(CAPTURES).max(1);
     let seen: Vec<&Seen> = floor.seen.iter().step_by(every).collect();
-    let Some(slopes) = seen.iter().map(|s| by_a_pulse(watch, s)).collect::<Option<Vec<_>>>() else {
+    let found = floor.about.map_or_else(|| watch.shifts.nominal().clone(), |(name, by)| watch.shifts.moved(name, by));
+    let Some(slopes) = seen.iter().map(|s| by_a_pulse(watch, &found, s)).collect::<Option<Vec<_>>>() else {
         return drift;
     };
-    let asked = Asked { watch, seen, slopes };
-    let Some(none) = asked.left(&watch.rig) else { return drift };
+    let asked = Asked { watch, seen, slopes, about: floor.about };
+    let Some(none) = asked.left(watch.shifts.nominal()) else { return drift };
     let smooth = asked.left_by_the_bend();
-    let mut answers: Vec<Answer> = SUSPECTS.iter().filter_map(|name| asked.answer(name, none, smooth)).collect();
+    let suspects = watch.shifts.suspects();
+    let mut answers: Vec<Answer> = suspects.iter().filter_map(|one| asked.answer(one, none, smooth)).collect();
     answers.sort_by(|a, b| a.left.square.total_cmp(&b.left.square));
     let Some(best) = answers.first() else { return drift };
-    // Scatter beyond the standard deviations enlarges what counts as the same.
-    let scale = asked.scale(smooth);
-    if best.moved.by.abs() < watch.params.significance * best.moved.sigma {
-        return drift;
-    }
     let misfit_after_m = Some(best.left.height_m);
-    if best.moved.explains < EXPLAINS_MIN {
-        return Drift { state: DriftState::Several, misfit_after_m, ..drift };
+    let is_clear = best.moved.by.abs() >= watch.params.significance * best.moved.sigma;
+    if !is_clear || best.moved.explains < EXPLAINS_MIN {
+        return Drift { misfit_after_m, ..drift };
     }
-    let most = best.left.square + APART * scale;
+    // Scatter beyond the standard deviations enlarges what counts as the same.
+    let most = best.left.square + APART * asked.scale(smooth);
     let moved =
         answers.into_iter().take_while(|answer| answer.left.square <= most).map(|answer| answer.moved).collect();
     Drift { state: DriftState::Moved, misfit_after_m, moved, ..drift }
@@ -82,17 +66,19 @@ struct Asked<'a> {
     seen: Vec<&'a Seen<'a>>,
     /// For each capture and reading, what one standard deviation of the mirror's reading moves it by, over its own.
     slopes: Vec<Vec<f64>>,
+    /// The shift about which the floor was found.
+    about: Option<(&'static str, f64)>,
 }
 
 impl Asked<'_> {
-    fn answer(&self, name: &'static str, none: Left, smooth: Left) -> Option<Answer> {
-        let place = PARAMETERS.iter().position(|(known, ..)| *known == name)?;
-        let (_, unit, _, scale) = PARAMETERS[place];
+    fn answer(&self, suspect: &Suspect, none: Left, smooth: Left) -> Option<Answer> {
+        let Suspect { name, unit, scale, .. } = *suspect;
         let step = 1e-4 * scale;
-        let (mut by, mut weight) = (0.0, 0.0);
+        let mut by = self.about.filter(|(about, _)| *about == name).map_or(0.0, |(_, by)| by);
+        let mut weight = 0.0;
         for _ in 0..STEPS {
-            let here = self.rows(&self.watch.moved(place, by))?;
-            let there = self.rows(&self.watch.moved(place, by + step))?;
+            let here = self.rows(&self.watch.shifts.moved(name, by))?;
+            let there = self.rows(&self.watch.shifts.moved(name, by + step))?;
             let (mut along, mut square) = (0.0, 0.0);
             for ((here, there), w) in here.iter().zip(&there).zip(&self.slopes) {
                 let slope: Vec<f64> = here.iter().zip(there).map(|(h, t)| (t - h) / step).collect();
@@ -106,8 +92,11 @@ impl Asked<'_> {
             }
             by -= along / square;
             weight = square;
+            if along.abs() <= STEP_MIN * square.sqrt() {
+                break;
+            }
         }
-        let left = self.left(&self.watch.moved(place, by))?;
+        let left = self.left(&self.watch.shifts.moved(name, by))?;
         let gone = |left: Left| none.height_m.powi(2) - left.height_m.powi(2);
         let explains = gone(left) / gone(smooth).max(1e-12);
         let sigma = (self.scale(smooth) / weight).sqrt();
@@ -142,7 +131,7 @@ impl Asked<'_> {
 
     /// What is left when all that bends smoothly is taken out.
     fn left_by_the_bend(&self) -> Left {
-        let of = |seen: &&Seen| seen.readings.iter().map(|r| (r.block.off - r.bend) / r.block.sigma).collect();
+        let of = |seen: &&Seen| seen.readings.iter().map(|r| r.noise / r.block.sigma).collect();
         self.left_of(&self.seen.iter().map(of).collect::<Vec<Vec<f64>>>())
     }
 
@@ -160,13 +149,14 @@ impl Asked<'_> {
 }
 
 /// What one standard deviation of the mirror's reading moves the rows of a capture by, over their own.
-fn by_a_pulse(watch: &DriftWatch, seen: &Seen) -> Option<Vec<f64>> {
-    let row = |later: f64, u: f64| {
-        let line = slit_line(&watch.rig, seen.look.mirror_pulse + later, seen.look.cylinder_pulse, &watch.floor)?;
-        row_at(&watch.rig, &line, u)
-    };
+fn by_a_pulse(watch: &DriftWatch, rig: &Rig, seen: &Seen) -> Option<Vec<f64>> {
+    let look = seen.look;
+    let line = |later: f64| slit_line(rig, look.mirror_pulse + later, look.cylinder_pulse, &watch.floor);
+    let (later, earlier) = (line(0.5)?, line(-0.5)?);
     let slope = |r: &super::floor::Reading| {
-        Some((row(0.5, r.block.u)? - row(-0.5, r.block.u)?) * watch.pulse_sigma / r.block.sigma)
+        // Outside the image as well: near its edge half a pulse leads out of it.
+        let off = |line: &SlitLine| line.rows_off(&rig.camera, r.block.u, r.block.v);
+        Some((off(&earlier)? - off(&later)?) * watch.pulse_sigma / r.block.sigma)
     };
     seen.readings.iter().map(slope).collect()
 }
