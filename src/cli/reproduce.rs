@@ -22,7 +22,8 @@ const JSON_HELP: &str = "With --json, one object:\n\
     A row: {\"quantity\": name with unit, \"at\": {where}, \"paper\": printed number or null,\n \
      \"printed_form\": by the printed formula or constants, or null, \"ours\": number,\n \
      \"expected\": by an independent computation, or null, \"agrees\": bool or null,\n \
-     \"simulated\": {\"repeats\", \"rms_error\", \"sigma\", \"inside_95\"}, \"note\"}";
+     \"simulated\": {\"repeats\", \"rms_error\", \"sigma\", \"inside_95\",\n \
+     \"inside_95_accepted\": [from, to]}, \"note\"}";
 
 /// Recompute the paper's tables and figures.
 #[derive(Args, Clone, Debug)]

@@ -99,11 +99,10 @@ fn figure_11(drawn: &mut BTreeMap<&'static str, Drawn>) -> Vec<Row> {
 
 fn figure_13(drawn: &mut BTreeMap<&'static str, Drawn>) -> Result<Vec<Row>> {
     let paper = PaperGeometry::metro_i();
-    let over_sheet = (paper.camera_height_m - paper.mirror_height_m) * 1e3;
     let cases = [
-        ("view and sheet level", Sensitivity::level(over_sheet, 0.0)),
-        ("view tilted, sheet level", Sensitivity::level(over_sheet, paper.tilt_rad)),
-        ("the finder", Sensitivity::printed()),
+        ("view and sheet level", Sensitivity::level(0.0)?),
+        ("view tilted, sheet level", Sensitivity::level(paper.tilt_rad)?),
+        ("the finder", Sensitivity::printed()?),
     ];
     let mut rows = Vec::new();
     let note = "the three cases are read so [A]: view level and θB = 0; view tilted and θB = 0; view tilted, beam at P";
@@ -111,12 +110,13 @@ fn figure_13(drawn: &mut BTreeMap<&'static str, Drawn>) -> Result<Vec<Row>> {
     for (case, sensitivity) in &cases {
         for i in 0..=10 {
             let x = 1500.0 + f64::from(i) * 100.0;
-            let row = Row::new("mm_per_px", sensitivity.mm_per_px(x)).at("x_mm", x).at("case", *case);
+            let row = Row::new("mm_per_px", sensitivity.mm_per_px(x)?).at("x_mm", x).at("case", *case);
             let printed = TABLE_5.iter().find(|known| known[0] == x && *case == "the finder");
             let row = if i == 0 { row.note(note) } else { row };
             rows.push(if let Some(known) = printed { row.expected(known[4], 5e-3) } else { row });
         }
-        let curve = (0..=40).map(|i| 1500.0 + f64::from(i) * 25.0).map(|x| (x, sensitivity.mm_per_px(x))).collect();
+        let places = (0..=40).map(|i| 1500.0 + f64::from(i) * 25.0);
+        let curve = places.map(|x| Ok((x, sensitivity.mm_per_px(x)?))).collect::<Result<Vec<_>>>()?;
         plot = plot.with(Series::new(*case, Style::Line, curve));
     }
     let table = TABLE_5.iter().map(|row| (row[0], row[1])).collect();

@@ -27,7 +27,7 @@ pub(super) fn table_5(images: &mut dyn SlitImages, effort: Effort, progress: Pro
     for known in TABLE_5 {
         let x_mm = known[0];
         let middle_m = x_mm * 1e-3 - PaperGeometry::metro_i().x0_m; // (42)
-        let row_m = Sensitivity::printed().mm_per_px(x_mm) * 1e-3;
+        let row_m = Sensitivity::printed()?.mm_per_px(x_mm)? * 1e-3;
         let (mut whole, mut fine, mut columns) = (0.0, 0.0, 0u32);
         for frame in 0..effort.frames {
             // Spread over one row, so that whole pixels miss as they do on average.

@@ -1,16 +1,14 @@
 //! Tables 1, 2, 4, 5, the numbers of the text, the oracle points, and where the print is wrong.
 
+use super::figures::beam_at;
 use super::{Misprint, Row};
 use crate::calibration::finder::{ClosedForm, ThreeSlits, closed_form};
-use crate::fault::Result;
-use crate::optics::{Camera, PaperGeometry, Rig, SlitOptics, Uncertainty, triangulate};
+use crate::fault::{Fault, Result};
+use crate::geometry::{Point, Sensor};
+use crate::optics::{Camera, Distortion, Laser, PaperGeometry, Rig, SlitOptics, Uncertainty, triangulate};
 
 /// Angle of the beam a pulse [rad] (`paper.md` 5.4).
 pub(super) const PULSE_RAD: f64 = std::f64::consts::TAU / 4000.0;
-/// Row pitch dv [mm], calibrated focal length lf [mm], column scale Su: Table 3.
-const ROW_MM: f64 = 4.8 / 485.0;
-const LF_MM: f64 = 11.434;
-const SU: f64 = 1.095;
 
 pub(super) fn table_1() -> Vec<Row> {
     let optics = SlitOptics::default();
@@ -23,9 +21,9 @@ pub(super) fn table_1() -> Vec<Row> {
             .paper(-6.693, 5e-4)
             .expected(-6.692739, 1e-6)
             .note("(11), f = -12.7 and -19.0 mm"),
-        Row::new("d1_mm", optics.set1.gap_mm).paper(4.420, 5e-4).note("taken from the paper: (12) cannot be read"),
-        Row::new("d2_mm", optics.set2.gap_mm).paper(4.354, 5e-4).note("taken from the paper: (12) cannot be read"),
-        Row::new("n", crate::optics::INDEX).paper(1.516, 5e-4).note("taken from the paper"),
+        Row::new("d1_mm", optics.set1.gap_mm).quoted(4.420).note("taken from the paper: (12) cannot be read"),
+        Row::new("d2_mm", optics.set2.gap_mm).quoted(4.354).note("taken from the paper: (12) cannot be read"),
+        Row::new("n", crate::optics::INDEX).quoted(1.516).note("taken from the paper"),
     ]
 }
 
@@ -78,12 +76,12 @@ pub(super) fn table_4() -> Result<Vec<Row>> {
         Row::new("x0_mm", found.x0_m * 1e3).at("before", 0.0).paper(-164.630, 0.06).expected(-164.585, 5e-4),
         Row::new("tilt_rad", found.tilt_rad).at("before", 0.465).paper(0.484, 1e-3).expected(0.48445, 5e-6),
         Row::new("camera_over_beam_mm", found.camera_over_beam_m * 1e3)
-            .printed(printed_over_beam_mm())
+            .printed(printed_over_beam_mm()?)
             .expected(266.19, 5e-3)
             .expected_printed(264.934, 5e-4)
             .note("l'B at P; printed form: with the printed constants"),
         Row::new("beam_to_middle_rad", found.beam_to_middle_rad)
-            .printed((817.230f64 / 2104.210).atan())
+            .printed(beam_at(600.0))
             .expected_printed(0.370448, 5e-7)
             .note("printed form: with the printed constants"),
     ];
@@ -98,61 +96,92 @@ pub(super) fn table_4() -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// l'B with the printed constants (40), (41) [mm].
-fn printed_over_beam_mm() -> f64 {
-    let paper = PaperGeometry::metro_i();
-    let tan_beam = 817.230 / 2704.210; // (39)
-    (paper.camera_height_m - paper.mirror_height_m - paper.x0_m * tan_beam) * 1e3
+/// l'B with the printed constants (40), (41) [mm]: METRO-I's camera over its beam at P.
+fn printed_over_beam_mm() -> Result<f64> {
+    let (paper, beam) = (PaperGeometry::metro_i(), Rig::metro_i().beam_rad(0)?);
+    Ok((paper.camera_height_m - paper.mirror_height_m - paper.x0_m * beam.tan()) * 1e3)
 }
 
-/// How X' at the beam at P answers to row, beam and camera's tilt (`instrument.md` 3).
+/// How the range of a point in the middle column answers to row, beam and camera's tilt: by triangulation, with the lens'
+/// distortion left out as in Table 5.
 pub(super) struct Sensitivity {
-    /// l'B [mm].
-    over_beam_mm: f64,
-    tan_beam: f64,
-    tilt_rad: f64,
-    x0_mm: f64,
+    rig: Rig,
+    beam_rad: f64,
 }
 
 impl Sensitivity {
+    /// The finder as recovered from Table 4's readings, beam at P.
     pub fn recovered() -> Result<Self> {
-        let found = recovered()?;
-        Ok(Self {
-            over_beam_mm: found.camera_over_beam_m * 1e3,
-            tan_beam: found.beam_at_far_rad.tan(),
-            tilt_rad: found.tilt_rad,
-            x0_mm: found.x0_m * 1e3,
-        })
+        let (found, paper) = (recovered()?, PaperGeometry::metro_i());
+        let mut rig = Rig::metro_i();
+        for (name, by) in [
+            ("mirror_height_m", found.mirror_height_m - paper.mirror_height_m),
+            ("camera_height_m", found.camera_height_m() - paper.camera_height_m),
+            ("x0_m", found.x0_m - paper.x0_m),
+            ("tilt_rad", found.tilt_rad - paper.tilt_rad),
+        ] {
+            rig = rig.shifted(name, by)?;
+        }
+        Ok(Self::of(rig, found.beam_at_far_rad))
     }
 
-    pub fn printed() -> Self {
-        let (tan_beam, x0_mm) = (817.230 / 2704.210, -164.630);
-        Self { over_beam_mm: printed_over_beam_mm(), tan_beam, tilt_rad: 0.484, x0_mm }
+    /// The finder with the printed constants, beam at P.
+    pub fn printed() -> Result<Self> {
+        let rig = Rig::metro_i();
+        let beam_rad = rig.beam_rad(0)?;
+        Ok(Self::of(rig, beam_rad))
     }
 
-    /// A camera of this tilt over a level sheet (8)–(10).
-    pub fn level(over_sheet_mm: f64, tilt_rad: f64) -> Self {
-        Self { over_beam_mm: over_sheet_mm, tan_beam: 0.0, tilt_rad, x0_mm: 0.0 }
+    /// The finder's camera at this tilt over a level sheet (8)–(10).
+    pub fn level(tilt_rad: f64) -> Result<Self> {
+        let rig = Rig::metro_i().shifted("tilt_rad", tilt_rad - PaperGeometry::metro_i().tilt_rad)?;
+        Ok(Self::of(rig, 0.0))
     }
 
-    fn depression(&self, x_mm: f64) -> f64 {
-        (self.over_beam_mm / x_mm + self.tan_beam).atan() // (4) turned round: T = tan(θv − α)
+    fn of(rig: Rig, beam_rad: f64) -> Self {
+        let camera = Camera { distortion: Distortion::Pinhole, ..rig.camera };
+        Self { rig: Rig { camera, ..rig }, beam_rad }
     }
 
-    /// X'²(1+T²)/l'B [mm/rad]: one radian of the camera's tilt.
-    fn mm_per_rad_tilt(&self, x_mm: f64) -> f64 {
-        x_mm * x_mm * (1.0 + self.depression(x_mm).tan().powi(2)) / self.over_beam_mm
+    /// X [m] of what `rig` makes of a row of the middle column.
+    fn range_m(&self, rig: &Rig, v: f64, beam_rad: f64) -> Result<f64> {
+        let exact = Uncertainty { u_px: 0.0, v_px: 0.0, beam_rad: 0.0, cylinder_rad: 0.0 };
+        let seen = triangulate(rig, &rig.laser_plane_at(beam_rad)?, rig.camera.cx, v, &exact);
+        seen.map(|seen| seen.point.xyz.x).ok_or_else(|| Fault::new("row", v, "one that meets the sheet"))
     }
 
-    /// X'²(1+T²)cos²α/(l'B·lf): one row.
-    pub fn mm_per_px(&self, x_mm: f64) -> f64 {
-        let alpha = self.tilt_rad - self.depression(x_mm);
-        self.mm_per_rad_tilt(x_mm) * alpha.cos().powi(2) / LF_MM * ROW_MM
+    /// The row in which the camera sees the beam at X' before its own foot.
+    fn row(&self, x_mm: f64) -> Result<f64> {
+        let eye = self.rig.sensor_from_camera.xyz();
+        let Laser::Mirror(mirror) = self.rig.laser else {
+            return Err(Fault::new("laser", "a fixed plane", "a mirror"));
+        };
+        let x = eye.x + x_mm * 1e-3; // (42): X = X' − x0
+        let lit = Point::<Sensor>::new(x, 0.0, mirror.mirror_m[2] - (x - mirror.mirror_m[0]) * self.beam_rad.tan());
+        let seen = self.rig.camera.project(&(self.rig.sensor_from_camera.inverse() * lit).xyz);
+        seen.map(|[_, v]| v).ok_or_else(|| Fault::new("X'", x_mm, "a point in front of the camera"))
     }
 
-    /// X'(X' − x0)·sec²θB/l'B: one pulse.
-    fn mm_per_pulse(&self, x_mm: f64) -> f64 {
-        x_mm * (x_mm - self.x0_mm) * (1.0 + self.tan_beam * self.tan_beam) / self.over_beam_mm * PULSE_RAD
+    /// |d(X)/d(what is turned)| at X' [m].
+    fn slope(&self, x_mm: f64, step: f64, moved: impl Fn(f64, f64) -> Result<f64>) -> Result<f64> {
+        let v = self.row(x_mm)?;
+        Ok(((moved(v, step)? - moved(v, -step)?) / (2.0 * step)).abs())
+    }
+
+    /// One row of range at X' [mm].
+    pub fn mm_per_px(&self, x_mm: f64) -> Result<f64> {
+        Ok(self.slope(x_mm, 1e-2, |v, by| self.range_m(&self.rig, v + by, self.beam_rad))? * 1e3)
+    }
+
+    /// One pulse of the mirror [mm].
+    pub fn mm_per_pulse(&self, x_mm: f64) -> Result<f64> {
+        let slope = self.slope(x_mm, 1e-5, |v, by| self.range_m(&self.rig, v, self.beam_rad + by))?;
+        Ok(slope * PULSE_RAD * 1e3)
+    }
+
+    /// One mrad of the camera's tilt [mm].
+    pub fn mm_per_mrad(&self, x_mm: f64) -> Result<f64> {
+        self.slope(x_mm, 1e-5, |v, by| self.range_m(&self.rig.shifted("tilt_rad", by)?, v, self.beam_rad))
     }
 }
 
@@ -166,62 +195,107 @@ pub(super) const TABLE_5: [[f64; 7]; 4] = [
 ];
 
 pub(super) fn table_5() -> Result<Vec<Row>> {
-    let (ours, printed) = (Sensitivity::recovered()?, Sensitivity::printed());
+    let (ours, printed) = (Sensitivity::recovered()?, Sensitivity::printed()?);
     let mut rows = Vec::new();
     for [x, error, percent, per_px, per_px_printed, per_pulse, per_mrad] in TABLE_5 {
         let row = |name, value: f64| Row::new(name, value).at("x_mm", x);
+        let pixel = [ours.mm_per_px(x)?, printed.mm_per_px(x)?];
         // 8.99 is given to 0.01, the others to 0.1.
         let within = if per_px < 10.0 { 5e-3 } else { 0.051 };
         rows.push(
-            row("mm_per_px", ours.mm_per_px(x))
-                .printed(printed.mm_per_px(x))
+            row("mm_per_px", pixel[0])
+                .printed(pixel[1])
                 .paper(error, 0.06 * error)
                 .expected(per_px, within)
                 .expected_printed(per_px_printed, 5e-3)
-                .note("the paper's 'error' is one pixel of range; ours with the recovered constants, printed form with the printed ones; the paper's last row is 6 % off"),
+                .note("the paper's 'error' is one pixel of range, here by triangulation; ours with the recovered constants, printed form with the printed ones; the paper's last row is 6 % off"),
         );
         let share = |mm: f64| mm / x * 100.0;
+        rows.push(row("percent_per_px", share(pixel[0])).printed(share(pixel[1])).paper(percent, 0.06));
         rows.push(
-            row("percent_per_px", share(ours.mm_per_px(x))).printed(share(printed.mm_per_px(x))).paper(percent, 0.06),
+            row("mm_per_pulse", ours.mm_per_pulse(x)?).expected(per_pulse, 0.051).note("one pulse of the mirror"),
         );
-        rows.push(row("mm_per_pulse", ours.mm_per_pulse(x)).expected(per_pulse, 0.051).note("one pulse of the mirror"));
         rows.push(
-            row("mm_per_mrad", ours.mm_per_rad_tilt(x) * 1e-3)
-                .expected(per_mrad, 0.051)
-                .note("one mrad of the camera's tilt"),
+            row("mm_per_mrad", ours.mm_per_mrad(x)?).expected(per_mrad, 0.051).note("one mrad of the camera's tilt"),
         );
     }
     Ok(rows)
 }
 
-pub(super) fn text() -> Vec<Row> {
-    let (width, height) = (6.4, ROW_MM * 480.0);
-    let deg = |side: f64| 2.0 * (side / 2.0 / LF_MM).atan().to_degrees();
+/// What a camera sees straight along its axis, without its lens' distortion.
+struct Field {
+    camera: Camera,
+}
+
+impl Field {
+    /// As calibrated: Table 3.
+    fn ours() -> Self {
+        Self { camera: Camera { distortion: Distortion::Pinhole, ..Camera::metro_i() } }
+    }
+
+    /// As the text reckons: the lens' nominal 12 mm, 6.4 × 4.8 mm for 512 × 480 pixels.
+    fn printed() -> Self {
+        let camera = Self::ours().camera;
+        let focal = |pixels: usize, chip_mm: f64| 12.0 * pixels as f64 / chip_mm;
+        Self { camera: Camera { fx: focal(camera.width, 6.4), fy: focal(camera.height, 4.8), ..camera } }
+    }
+
+    /// Where the lines of sight through the left and the right edge, and the top and the bottom, are at distance 1.
+    fn edges(&self) -> Result<[[f64; 2]; 2]> {
+        let camera = &self.camera;
+        let ray = |u: f64, v: f64| {
+            let ray = camera.ray(u, v);
+            ray.ok_or_else(|| Fault::new("camera", "no line of sight at its edge", "a lens that can be undone"))
+        };
+        let (right, bottom) = (camera.width as f64 - 0.5, camera.height as f64 - 0.5);
+        let across = [ray(-0.5, camera.cy)?.x, ray(right, camera.cy)?.x];
+        Ok([across, [ray(camera.cx, -0.5)?.y, ray(camera.cx, bottom)?.y]])
+    }
+
+    /// Across and along the picture, at distance 1.
+    fn size(&self) -> Result<[f64; 2]> {
+        Ok(self.edges()?.map(|[low, high]| high - low))
+    }
+
+    /// Across and along the picture [°].
+    fn angles_deg(&self) -> Result<[f64; 2]> {
+        Ok(self.edges()?.map(|[low, high]| (high.atan() - low.atan()).to_degrees()))
+    }
+
+    /// A column and a row, at this distance [mm].
+    fn pixel_mm(&self, distance_mm: f64) -> Result<[f64; 2]> {
+        let [across, along] = self.size()?;
+        Ok([across / self.camera.width as f64, along / self.camera.height as f64].map(|pixel| pixel * distance_mm))
+    }
+}
+
+pub(super) fn text() -> Result<Vec<Row>> {
+    let (ours, printed) = (Field::ours(), Field::printed());
+    let (width, width_printed) = (ours.size()?[0], printed.size()?[0]);
+    let (pixel, pixel_printed) = (ours.pixel_mm(3000.0)?, printed.pixel_mm(3000.0)?);
+    let angles = ours.angles_deg()?;
     let nominal = "print: lF = 12 mm, 512 x 480; ours: calibrated lf, Su, and 485 rows of which 480 are grabbed";
-    vec![
-        Row::new("field_of_view_m", width / SU / LF_MM * 2.0)
+    Ok(vec![
+        Row::new("field_of_view_m", width * 2.0)
             .at("range_m", 2.0)
-            .printed(6.4 / 12.0 * 2.0)
+            .printed(width_printed * 2.0)
             .paper(1.066, 1e-3)
             .expected(1.022, 5e-4)
             .note(nominal),
-        Row::new("field_of_view_m", width / SU / LF_MM * 3.0)
+        Row::new("field_of_view_m", width * 3.0).at("range_m", 3.0).printed(width_printed * 3.0).paper(1.6, 1e-3),
+        Row::new("resolution_across_mm", pixel[0])
             .at("range_m", 3.0)
-            .printed(6.4 / 12.0 * 3.0)
-            .paper(1.6, 1e-3),
-        Row::new("resolution_across_mm", width / 512.0 / SU / LF_MM * 3000.0)
-            .at("range_m", 3.0)
-            .printed(6.4 / 512.0 / 12.0 * 3000.0)
+            .printed(pixel_printed[0])
             .paper(3.1, 0.05)
             .expected(3.00, 5.1e-3),
-        Row::new("resolution_along_mm", ROW_MM / LF_MM * 3000.0)
+        Row::new("resolution_along_mm", pixel[1])
             .at("range_m", 3.0)
-            .printed(4.8 / 480.0 / 12.0 * 3000.0)
+            .printed(pixel_printed[1])
             .paper(2.5, 0.05)
             .expected(2.60, 5e-3),
-        Row::new("field_across_deg", deg(width / SU)).expected(28.7, 0.051),
-        Row::new("field_along_deg", deg(height)).expected(23.5, 0.051),
-    ]
+        Row::new("field_across_deg", angles[0]).expected(28.7, 0.051),
+        Row::new("field_along_deg", angles[1]).expected(23.5, 0.051),
+    ])
 }
 
 /// (Uf, Vf upwards), X, Y exact, Y print, Z [mm]: `paper.md` 6, independent of any code here.
@@ -233,15 +307,14 @@ const ORACLE: [[f64; 6]; 3] = [
 
 pub(super) fn points() -> Result<Vec<Row>> {
     let rig = Rig::metro_i();
-    let sheet = rig.laser_plane(0)?; // pulse 0: the beam at P
+    let (sheet, beam) = (rig.laser_plane(0)?, rig.beam_rad(0)?); // pulse 0: the beam at P
     let exact = Uncertainty { u_px: 0.0, v_px: 0.0, beam_rad: 0.0, cylinder_rad: 0.0 };
     let mut rows = Vec::new();
     for [u, v_up, x, y, y_print, z] in ORACLE {
         let v = rig.camera.height as f64 - 1.0 - v_up;
         let seen = triangulate(&rig, &sheet, u, v, &exact).map_or([f64::NAN; 3], |s| (s.point.xyz * 1e3).into());
-        let printed = rig.camera.ray(u, v).map_or(f64::NAN, |ray| {
-            PaperGeometry::metro_i().printed(ray.x, -ray.y, (817.230f64 / 2704.210).atan()).y * 1e3
-        });
+        let printed =
+            rig.camera.ray(u, v).map_or(f64::NAN, |ray| PaperGeometry::metro_i().printed(ray.x, -ray.y, beam).y * 1e3);
         let row = |name, value: f64| Row::new(name, value).at("uf_px", u).at("vf_px", v_up);
         rows.push(row("x_mm", seen[0]).expected(x, 1e-3));
         rows.push(
@@ -261,10 +334,10 @@ pub(super) fn misprints() -> Result<Vec<Misprint>> {
     list.extend(misprints_of_the_geometry()?);
     let nominal = "nominal lF, not the calibrated lf and Su of Table 3";
     let text = |quantity, printed, correct, why| Misprint { place: "text", quantity, printed, correct, why };
-    list.push(text("field of view [m] at 2 m", 1.066, 6.4 / SU / LF_MM * 2.0, nominal));
-    list.push(text("resolution across [mm] at 3 m", 3.1, 6.4 / 512.0 / SU / LF_MM * 3000.0, nominal));
-    let rows = "nominal lF, and 480 rows for the chip's 485";
-    list.push(text("resolution along [mm] at 3 m", 2.5, ROW_MM / LF_MM * 3000.0, rows));
+    let (width, pixel) = (Field::ours().size()?[0], Field::ours().pixel_mm(3000.0)?);
+    list.push(text("field of view [m] at 2 m", 1.066, width * 2.0, nominal));
+    list.push(text("resolution across [mm] at 3 m", 3.1, pixel[0], nominal));
+    list.push(text("resolution along [mm] at 3 m", 2.5, pixel[1], "nominal lF, and 480 rows for the chip's 485"));
     Ok(list)
 }
 
@@ -304,8 +377,8 @@ fn misprints_of_the_geometry() -> Result<Vec<Misprint>> {
     let pixel = Sensitivity::recovered()?;
     let whole = "no error statistics: one whole pixel of range";
     let table_5 = |quantity, printed, x_mm| {
-        let correct = pixel.mm_per_px(x_mm);
-        Misprint { place: "Table 5", quantity, printed, correct, why: whole }
+        let correct = pixel.mm_per_px(x_mm)?;
+        Ok::<_, Fault>(Misprint { place: "Table 5", quantity, printed, correct, why: whole })
     };
     Ok(vec![
         Misprint {
@@ -329,7 +402,47 @@ fn misprints_of_the_geometry() -> Result<Vec<Misprint>> {
             correct: found.mirror_height_m * 1e3,
             why: "slits lie every 300 mm, but the table closes only with d = 600 mm",
         },
-        table_5("'error' [mm] at 1500 mm", 9.0, 1500.0),
-        table_5("'error' [mm] at 2400 mm", 23.0, 2400.0),
+        table_5("'error' [mm] at 1500 mm", 9.0, 1500.0)?,
+        table_5("'error' [mm] at 2400 mm", 23.0, 2400.0)?,
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triangulation_is_as_sensitive_as_the_paper_s_geometry_says() {
+        // instrument.md 3, another road: derivatives by hand of (4), (42), with T = tan(θv − α).
+        let paper = PaperGeometry::metro_i();
+        let level = (paper.camera_height_m - paper.mirror_height_m) * 1e3;
+        let found = recovered().unwrap();
+        let tilted = |tilt: f64| Sensitivity::level(tilt).unwrap();
+        // The finder; its l'B [mm], tan θB, θv and x0 [mm].
+        let cases = [
+            (
+                Sensitivity::recovered().unwrap(),
+                [found.camera_over_beam_m * 1e3, found.beam_at_far_rad.tan(), found.tilt_rad, found.x0_m * 1e3],
+            ),
+            (Sensitivity::printed().unwrap(), [264.934, 817.230 / 2704.210, 0.484, -164.630]),
+            (tilted(0.0), [level, 0.0, 0.0, paper.x0_m * 1e3]),
+            (tilted(0.484), [level, 0.0, 0.484, paper.x0_m * 1e3]),
+        ];
+        for (sensitivity, [over_beam, tan_beam, tilt, x0]) in cases {
+            for x in [1500.0, 1800.0, 2100.0, 2400.0] {
+                let depression: f64 = over_beam / x + tan_beam; // (4) turned round
+                let per_rad = x * x * (1.0 + depression * depression) / over_beam;
+                let alpha = tilt - depression.atan();
+                let per_px = per_rad * alpha.cos().powi(2) / 11.434 * (4.8 / 485.0);
+                let per_pulse = x * (x - x0) * (1.0 + tan_beam * tan_beam) / over_beam * PULSE_RAD;
+                for (by_triangulation, by_hand) in [
+                    (sensitivity.mm_per_px(x).unwrap(), per_px),
+                    (sensitivity.mm_per_pulse(x).unwrap(), per_pulse),
+                    (sensitivity.mm_per_mrad(x).unwrap(), per_rad * 1e-3),
+                ] {
+                    assert!((by_triangulation / by_hand - 1.0).abs() < 1e-5, "{x}: {by_triangulation} {by_hand}");
+                }
+            }
+        }
+    }
 }

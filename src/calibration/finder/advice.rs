@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, SymmetricEigen, Vector3};
 use serde::Serialize;
 
-use super::bundle::{HELD, foreseen, is_prior};
+use super::foreseen::{Foreseen, is_held};
 use super::known::{Assumptions, CameraPrior, Knowledge};
 use super::measured::{Observations, Slit, SlitEnd, SlitPeak, Surface, Wall};
-use super::model::{CAMERA_AT, Model, TAPE_AT, slit_line};
+use super::model::{Model, slit_line};
+use super::parameters::{CAMERA_AT, HELD, PARAMETERS, TAPE_AT};
 use super::simulate::row_at;
 use crate::calibration::solve::Solution;
 use crate::geometry::{Plane, Point, Robot};
@@ -35,28 +36,42 @@ pub struct Advice {
     pub settles: BTreeMap<String, [f64; 2]>,
 }
 
-/// Combinations of free parameters that keep more than [`HELD`] of what was believed before, the worst first.
-pub(super) fn weak_directions(model: &Model, solution: &Solution, covariance: &DMatrix<f64>) -> Vec<Weak> {
+/// A parameter stands in a weak combination if that makes this part of its standard deviation,
+const PART_MIN: f64 = 0.3;
+
+/// Combinations of free parameters that keep more than [`HELD`] of what was believed before, the worst first. Every
+/// parameter that the data do not hold stands in one at least.
+pub(super) fn weak_directions(
+    model: &Model,
+    solution: &Solution,
+    covariance: &DMatrix<f64>,
+    growth: &[f64],
+) -> Vec<Weak> {
     let free: Vec<usize> =
-        (0..solution.parameters.len()).filter(|&i| !solution.parameters[i].fixed && !is_prior(model, i)).collect();
+        (0..solution.parameters.len()).filter(|&i| !solution.parameters[i].fixed && !model.is_prior(i)).collect();
+    let sigma = |i: usize| covariance[(i, i)].max(0.0).sqrt();
     let before: Vec<f64> = free.iter().map(|&i| model.sigma_before(i)).collect();
     let scaled =
         DMatrix::from_fn(free.len(), free.len(), |a, b| covariance[(free[a], free[b])] / (before[a] * before[b]));
     let eigen = SymmetricEigen::new(scaled);
     let mut order: Vec<usize> = (0..free.len()).filter(|&k| eigen.eigenvalues[k] > HELD * HELD).collect();
     order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]).then(a.cmp(&b)));
-    let weak = |k: usize| {
-        let left = eigen.eigenvalues[k].sqrt();
+    let change = |k: usize, a: usize| eigen.eigenvectors[(a, k)] * eigen.eigenvalues[k].sqrt() * before[a];
+    let most = |a: usize| order.iter().copied().max_by(|&k, &l| change(k, a).abs().total_cmp(&change(l, a).abs()));
+    let loose = |a: usize| !is_held(model, free[a], sigma(free[a]), growth[free[a]]);
+    let weak = |&k: &usize| {
+        // In terms of each parameter's own σ: what is 0.02 rad of an angle's ignorance may be all that is known of it.
+        let named = |a: usize| change(k, a).abs() > PART_MIN * sigma(free[a]) || (loose(a) && most(a) == Some(k));
         let parts = eigen.eigenvectors.column(k);
-        let (largest, sign) =
-            parts.iter().fold((0.0, 1.0), |(l, s), p| if p.abs() > l { (p.abs(), p.signum()) } else { (l, s) });
+        let sign =
+            parts.iter().fold((0.0, 1.0), |(l, s), p| if p.abs() > l { (p.abs(), p.signum()) } else { (l, s) }).1;
         let changes = (0..free.len())
-            .filter(|&a| parts[a].abs() > 0.2 * largest)
-            .map(|a| (solution.parameters[free[a]].name.clone(), sign * parts[a] * left * before[a]))
+            .filter(|&a| named(a))
+            .map(|a| (solution.parameters[free[a]].name.clone(), sign * change(k, a)))
             .collect();
-        Weak { changes, left }
+        Weak { changes, left: eigen.eigenvalues[k].sqrt() }
     };
-    order.into_iter().map(weak).collect()
+    order.iter().map(weak).collect()
 }
 
 /// An experiment that could be made on top of this one.
@@ -90,42 +105,43 @@ impl Plan {
         Model { nominal, assumptions: &self.assumptions, seen: &self.seen }
     }
 
-    /// The standard deviations that this experiment would give; `None` if this finder cannot make it.
-    fn sigmas(&self, nominal: &Rig) -> Option<Vec<f64>> {
-        let covariance = foreseen(&self.model(nominal), &self.numbers)?;
-        Some((0..self.numbers.len()).map(|i| covariance[(i, i)].max(0.0).sqrt()).collect())
+    /// What this experiment would tell; `None` if this finder cannot make it.
+    fn foreseen(&self, nominal: &Rig) -> Option<Foreseen> {
+        Foreseen::of(&self.model(nominal), &self.numbers)
     }
 }
 
 /// What would hold the weak parameters (or halve their σ at least), the most useful measurement first, each on top of
 /// those before it; nothing where nothing is weak.
-pub(super) fn advise(model: &Model, solution: &Solution, covariance: &DMatrix<f64>) -> Vec<Advice> {
+pub(super) fn advise(model: &Model, solution: &Solution, covariance: &DMatrix<f64>, growth: &[f64]) -> Vec<Advice> {
     let mut now: Vec<f64> = (0..solution.values.len()).map(|i| covariance[(i, i)].max(0.0).sqrt()).collect();
-    let target = |i: usize| HELD * model.sigma_before(i);
     let mut weak: Vec<usize> = (0..now.len())
-        .filter(|&i| !solution.parameters[i].fixed && !is_prior(model, i) && now[i] > target(i))
+        .filter(|&i| !solution.parameters[i].fixed && !model.is_prior(i) && !is_held(model, i, now[i], growth[i]))
         .collect();
     let (seen, assumptions) = (model.seen.clone(), model.assumptions.clone());
     let mut plan = Plan { seen, assumptions, numbers: solution.values.clone() };
     let mut advice = Vec::new();
     while !weak.is_empty() && advice.len() < ROUNDS_MAX {
-        let mut best: Option<(Vec<usize>, Vec<f64>, Candidate)> = None;
+        let mut best: Option<(Vec<usize>, Foreseen, Candidate)> = None;
         for candidate in candidates(&plan.model(model.nominal), &plan.numbers) {
-            let Some(then) = plan.with(&candidate).sigmas(model.nominal) else { continue };
+            let Some(then) = plan.with(&candidate).foreseen(model.nominal) else { continue };
+            let (sigma, growth) = (&then.sigmas, &then.growth);
             // Held, or twice as good; and not just by a hair.
-            let settled: Vec<usize> =
-                weak.iter().copied().filter(|&i| then[i] <= target(i).max(0.5 * now[i]).min(0.7 * now[i])).collect();
+            let settles = |i: usize| {
+                (is_held(model, i, sigma[i], growth[i]) || sigma[i] <= 0.5 * now[i]) && sigma[i] <= 0.7 * now[i]
+            };
+            let settled: Vec<usize> = weak.iter().copied().filter(|&i| settles(i)).collect();
             // Candidates stand in the order of their work: the first of the most useful.
             if !settled.is_empty() && best.as_ref().is_none_or(|(held, ..)| settled.len() > held.len()) {
                 best = Some((settled, then, candidate));
             }
         }
         let Some((settled, then, candidate)) = best else { break };
-        let settles = settled.iter().map(|&i| (solution.parameters[i].name.clone(), [now[i], then[i]])).collect();
-        advice.push(Advice { measure: candidate.measure, settles });
+        let sigmas = |i: usize| (solution.parameters[i].name.clone(), [now[i], then.sigmas[i]]);
+        advice.push(Advice { measure: candidate.measure, settles: settled.into_iter().map(sigmas).collect() });
         plan = plan.with(&candidate);
-        weak.retain(|&i| then[i] > target(i));
-        now = then;
+        weak.retain(|&i| !is_held(model, i, then.sigmas[i], then.growth[i]));
+        now = then.sigmas;
     }
     advice
 }
@@ -134,7 +150,7 @@ pub(super) fn advise(model: &Model, solution: &Solution, covariance: &DMatrix<f6
 fn candidates(model: &Model, numbers: &[f64]) -> Vec<Candidate> {
     let rig = model.rig(numbers);
     let tape = numbers[TAPE_AT];
-    let aim = Foreseen { rig: &rig, tape };
+    let aim = Sketch { rig: &rig, tape };
     let half = (std::f64::consts::PI / rig.cylinder.rad_per_pulse.abs().max(1e-9)).round();
     let same = || model.assumptions.clone();
     let only = |measure, slits, walls| Candidate { measure, slits, walls, assumptions: same() };
@@ -180,7 +196,16 @@ fn candidates(model: &Model, numbers: &[f64]) -> Vec<Candidate> {
     if model.assumptions.camera.is_none() {
         let mut values = [0.0; 5];
         values.copy_from_slice(&numbers[CAMERA_AT..TAPE_AT]);
-        let assumptions = Assumptions { camera: Some(CameraPrior::two_planes(values)), ..same() };
+        let mut camera = CameraPrior::two_planes(values);
+        let mut assumptions = same();
+        for (i, (name, ..)) in PARAMETERS[CAMERA_AT..].iter().enumerate() {
+            // What was known better beforehand stays known.
+            if let Some(Knowledge::Within(sigma)) = assumptions.knowledge.get(*name).copied() {
+                assumptions.knowledge.remove(*name);
+                camera.covariance[i][i] = camera.covariance[i][i].min(sigma * sigma);
+            }
+        }
+        assumptions.camera = Some(camera);
         let measure = "the camera by itself, on two planes of 30 points";
         list.insert(2, Candidate { measure, slits: vec![], walls: vec![], assumptions });
     }
@@ -189,12 +214,12 @@ fn candidates(model: &Model, numbers: &[f64]) -> Vec<Candidate> {
 
 /// Slits as the finder found so far would see them.
 #[derive(Clone, Copy)]
-struct Foreseen<'a> {
+struct Sketch<'a> {
     rig: &'a Rig,
     tape: f64,
 }
 
-impl Foreseen<'_> {
+impl Sketch<'_> {
     /// The mirror's place for a beam of this angle below the horizontal.
     fn pulse(&self, beam_rad: f64) -> Option<f64> {
         let Laser::Mirror(mirror) = self.rig.laser else { return None };

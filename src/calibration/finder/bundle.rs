@@ -7,9 +7,11 @@ use serde::Serialize;
 
 use super::advice::{Advice, Weak, advise, weak_directions};
 use super::carried::rig_covariance;
+use super::foreseen::{Foreseen, is_held};
 use super::known::{Assumptions, Knowledge};
 use super::measured::{Observations, Slit, Surface};
-use super::model::{CAMERA_AT, Model, PARAMETERS, TAPE_AT};
+use super::model::Model;
+use super::parameters::{CAMERA_AT, PARAMETERS, TAPE_AT};
 use super::plausible::plausible;
 use super::{ThreeSlits, closed_form};
 use crate::calibration::camera::Sensor;
@@ -18,8 +20,6 @@ use crate::calibration::solve::{Noise, Options, Solution, minimise};
 use crate::fault::{Fault, Result};
 use crate::optics::Rig;
 
-/// A parameter counts as held by the data if they leave less than this part of what was believed before.
-pub(super) const HELD: f64 = 0.2;
 /// Residuals this unlikely (in standard deviations of χ²) enlarge every σ.
 const UNLIKELY: f64 = 4.0;
 /// The rows of one slit share its mirror's reading: fewer slits than the paper's three hold nothing.
@@ -31,11 +31,12 @@ const REJECTED_MAX: f64 = 0.25;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Held {
-    /// These slits: it is identifiable, and its σ is that of the data.
+    /// These slits: it is identifiable, and its σ is that of the data and of what was truly known. It would grow by a tenth
+    /// at most if what is made up of the other parameters were ten times as wide.
     Data,
     /// What was known before, give or take; the data may have sharpened it.
     Prior,
-    /// Nothing: the data do not tell it apart from others. Its σ is of no use.
+    /// Nothing: the data do not tell it apart from others. Its σ is made up, or leans on one that is: of no use.
     Weak,
     /// It was taken as known and not estimated.
     Known,
@@ -180,7 +181,7 @@ impl<'a> Bundle<'a> {
         let mut guesses = vec![bundle.tape_laid(drawn.clone())];
         guesses.extend(bundle.closed_form_guess(&drawn).map(|guess| bundle.tape_laid(guess)));
         let cost = |guess: &Vec<f64>| {
-            let rows = bundle.data_rows(guess).map(|rows| rows.iter().map(|r| r * r).sum::<f64>());
+            let rows = model.data_rows(guess).map(|rows| rows.iter().map(|r| r * r).sum::<f64>());
             rows.filter(|cost: &f64| cost.is_finite()).unwrap_or(f64::INFINITY)
         };
         let best = guesses.into_iter().map(|g| (cost(&g), g)).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -246,19 +247,10 @@ impl<'a> Bundle<'a> {
         Some(guess)
     }
 
-    fn data_rows(&self, p: &[f64]) -> Option<Vec<f64>> {
-        let rig = self.model.rig(p);
-        let mut rows = Vec::new();
-        for slit in &self.model.seen.slits {
-            self.model.slit_rows(&rig, p, slit, &mut rows)?;
-        }
-        Some(rows)
-    }
-
     fn solve(&self) -> Result<Solution> {
         let residuals = |p: &[f64]| {
-            let mut rows = self.data_rows(p)?;
-            self.model.prior_rows(p, &self.expected, self.whitening.as_deref(), &mut rows);
+            let mut rows = self.model.data_rows(p)?;
+            self.model.prior_rows(p, &self.expected, self.whitening.as_deref(), 1.0, &mut rows);
             Some(rows)
         };
         let options = Options { noise: Noise::Known(1.0), fall_min: 1e-10, ..Options::default() };
@@ -308,18 +300,21 @@ impl<'a> Bundle<'a> {
         let freedom = (solution.residuals.len() - solution.free()).max(1) as f64;
         let unlikely = all / freedom > 1.0 + UNLIKELY * (2.0 / freedom).sqrt();
         let covariance = &solution.covariance * if unlikely { all / freedom } else { 1.0 };
+        // Where even that cannot be told, nothing leans on the data alone.
+        let growth = Foreseen::of(model, &solution.values)
+            .map_or_else(|| vec![f64::INFINITY; solution.values.len()], |foreseen| foreseen.growth);
         let (mut parameters, mut held) = (Vec::new(), BTreeMap::new());
         for (i, parameter) in solution.parameters.iter().enumerate() {
             let sigma = covariance[(i, i)].max(0.0).sqrt();
             let unit = PARAMETERS.get(i).map_or(if parameter.name.ends_with("_rad") { "rad" } else { "m" }, |p| p.1);
             parameters.push(Estimate::new(&parameter.name, solution.values[i], sigma, unit));
-            held.insert(parameter.name.clone(), self.held(i, parameter.fixed, sigma));
+            held.insert(parameter.name.clone(), self.held(i, parameter.fixed, sigma, growth[i]));
         }
         let mut rig = model.rig(&solution.values);
         rig.covariance = rig_covariance(&solution.values, &covariance, &model.assumptions.sensor);
         let slits = self.slits(&solution, &rig);
-        let weak = weak_directions(model, &solution, &covariance);
-        let advice = advise(model, &solution, &covariance);
+        let weak = weak_directions(model, &solution, &covariance, &growth);
+        let advice = advise(model, &solution, &covariance, &growth);
         let names = solution.parameters.iter().map(|p| p.name.clone()).collect();
         let report = Report { parameters, residual, used: slits.len(), rejected };
         let sensor = model.assumptions.sensor;
@@ -347,55 +342,15 @@ impl<'a> Bundle<'a> {
         slits
     }
 
-    fn held(&self, i: usize, fixed: bool, sigma: f64) -> Held {
+    fn held(&self, i: usize, fixed: bool, sigma: f64, growth: f64) -> Held {
         if fixed {
             return Held::Known;
         }
-        if is_prior(self.model, i) {
+        if self.model.is_prior(i) {
             return Held::Prior;
         }
-        if sigma <= HELD * self.model.sigma_before(i) { Held::Data } else { Held::Weak }
+        if is_held(self.model, i, sigma, growth) { Held::Data } else { Held::Weak }
     }
-}
-
-/// Whether something was known of a parameter beforehand that is worth keeping.
-pub(super) fn is_prior(model: &Model, i: usize) -> bool {
-    let camera = (CAMERA_AT..TAPE_AT).contains(&i) && model.assumptions.camera.is_some();
-    camera || matches!(model.knowledge(i), Knowledge::Within(_)) || i > TAPE_AT
-}
-
-/// The covariance of all parameters of an experiment at given numbers, as if it had been made and had come out so;
-/// `None` if this finder cannot make it.
-pub(super) fn foreseen(model: &Model, numbers: &[f64]) -> Option<DMatrix<f64>> {
-    let whitening = model.assumptions.camera.map(|camera| camera.whitening()).transpose().ok()?;
-    let bundle = Bundle { model, whitening, expected: numbers.to_vec(), start: numbers.to_vec() };
-    let unknowns = model.unknowns(numbers);
-    let rows_at = |p: &[f64]| {
-        let mut rows = bundle.data_rows(p)?;
-        model.prior_rows(p, &bundle.expected, bundle.whitening.as_deref(), &mut rows);
-        Some(rows)
-    };
-    let free: Vec<usize> = (0..unknowns.len()).filter(|&i| !unknowns[i].fixed).collect();
-    let mut columns = Vec::with_capacity(free.len());
-    for &i in &free {
-        let step = 1e-5 * unknowns[i].scale;
-        let mut moved = numbers.to_vec();
-        moved[i] += step;
-        let high = rows_at(&moved)?;
-        moved[i] -= 2.0 * step;
-        let low = rows_at(&moved)?;
-        let slope = high.iter().zip(&low).map(|(h, l)| (h - l) / (2.0 * step) * model.sigma_before(i).max(1e-12));
-        columns.push(slope.collect::<Vec<f64>>());
-    }
-    let slopes = DMatrix::from_fn(columns.first()?.len(), free.len(), |r, c| columns[c][r]);
-    let inverse = (slopes.transpose() * &slopes).cholesky()?.inverse();
-    let mut covariance = DMatrix::zeros(unknowns.len(), unknowns.len());
-    for (a, &i) in free.iter().enumerate() {
-        for (b, &j) in free.iter().enumerate() {
-            covariance[(i, j)] = inverse[(a, b)] * model.sigma_before(i) * model.sigma_before(j);
-        }
-    }
-    Some(covariance)
 }
 
 #[cfg(test)]
@@ -563,7 +518,7 @@ mod tests {
     fn so_they_do_when_everything_is_unknown() {
         let mut draw = rng(23);
         let mut coverage = Coverage::default();
-        let repeats = 40;
+        let repeats = 200;
         for _ in 0..repeats {
             let moved = [
                 ("mirror_height_m", 0.02),
@@ -586,13 +541,11 @@ mod tests {
             coverage.count(&fit, &truth, procedure.tape_start_m, &[Held::Data, Held::Prior]);
         }
         coverage.tell();
-        let (inside, of) = coverage.0.values().fold((0, 0), |(a, b), (inside, of, ..)| (a + inside, b + of));
-        assert!((0.92..=0.98).contains(&(f64::from(inside) / f64::from(of))), "{inside} of {of}");
-        for name in
-            ["roll_rad", "pan_rad", "slit_roll_rad", "camera_y_m", "axis_pitch_rad", "axis_roll_rad", "mirror_height_m"]
-        {
-            let (inside, of, ..) = coverage.0[name];
-            assert!(of == repeats && inside >= 33, "{name}: {inside} of {of}"); // 33 of 40: one in 400 by chance
+        // Every parameter by itself: of 200 repeats 92 to 98 %.
+        let held = coverage.0.iter().filter(|(_, (_, of, ..))| *of == repeats).count();
+        assert!(held >= 17, "{held}");
+        for (name, (inside, of, ..)) in &coverage.0 {
+            assert!(*of < repeats || (184..=196).contains(inside), "{name}: {inside} of {of}");
         }
     }
 
@@ -611,7 +564,16 @@ mod tests {
             assert_eq!(fit.held[name], Held::Weak, "{name}");
             assert!(fit.weak.iter().any(|weak| weak.changes.contains_key(name)), "{name}: {:?}", fit.weak);
         }
-        // The mirror is held but for the axis' lean, which a floor seen straight ahead does not tell from it.
+        // Whatever is weak is named with what it hangs on. The beam's zero is known to a hundredth of what was unknown of
+        // it, yet no better than the axis is upright: a floor seen straight ahead does not tell the two apart.
+        for (name, held) in &fit.held {
+            let named = fit.weak.iter().any(|weak| weak.changes.contains_key(name));
+            assert!(*held != Held::Weak || named, "{name}: {:?}", fit.weak);
+        }
+        let zero = fit.get("beam_zero_rad").unwrap();
+        assert!(zero.sigma < 0.05 * 0.5 && fit.held["beam_zero_rad"] == Held::Weak, "{zero:?}");
+        let together = ["beam_zero_rad", "axis_pitch_rad"];
+        assert!(fit.weak.iter().any(|w| together.iter().all(|name| w.changes.contains_key(*name))), "{:?}", fit.weak);
         let advised = |what: &str, name: &str| {
             fit.advice
                 .iter()

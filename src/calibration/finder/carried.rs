@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use super::model::{CAMERA_AT, PARAMETERS, TAPE_AT};
+use super::parameters::{CAMERA_AT, PARAMETERS, TAPE_AT};
 use crate::calibration::params::Sensor;
 use crate::optics::RigCovariance;
 

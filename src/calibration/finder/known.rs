@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use super::model::PARAMETERS;
-use crate::calibration::camera::{BlockFit, Sensor, place};
+use super::parameters::{CAMERA_AT, PARAMETERS, TAPE_AT};
+use crate::calibration::camera::Sensor;
 use crate::fault::{Fault, Result, positive};
 
 /// What is known of a parameter beforehand.
@@ -46,19 +46,15 @@ impl CameraPrior {
         Self::with_sigmas(values, [0.019, 2e-4, 6e-5, 2.5, 2.5])
     }
 
-    /// What a calibration on a dot block found.
-    pub fn of(block: &BlockFit) -> Self {
-        let places = [place::F, place::SCALE_U, place::K, place::CENTRE, place::CENTRE + 1];
-        let held = |i: usize| block.solution.parameters.get(i).is_some_and(|p| p.fixed);
-        let covariance = |i: usize, j: usize| {
-            // What was held there is as good as known here: a billionth of itself.
-            let known = if i == j && held(i) { (1e-9 * block.solution.values[i].abs().max(1e-6)).powi(2) } else { 0.0 };
-            block.solution.covariance[(i, j)] + known
-        };
-        Self {
-            values: places.map(|i| block.solution.values[i]),
-            covariance: places.map(|i| places.map(|j| covariance(i, j))),
+    /// Refuses values that are not finite and what is no covariance.
+    pub fn validated(self) -> Result<Self> {
+        for ((name, ..), value) in PARAMETERS[CAMERA_AT..TAPE_AT].iter().zip(self.values) {
+            if !value.is_finite() {
+                return Err(Fault::new(format!("camera.{name}"), value, "a finite number"));
+            }
         }
+        self.whitening()?;
+        Ok(self)
     }
 
     /// L⁻¹ with L·Lᵀ = covariance: what makes its errors independent and of size 1.
@@ -130,8 +126,14 @@ impl Assumptions {
             }
             if let Knowledge::Within(sigma) = knowledge {
                 positive(name, *sigma)?;
+                let of_camera = PARAMETERS[CAMERA_AT..TAPE_AT].iter().any(|(known, ..)| known == name);
+                if of_camera && self.camera.is_some() {
+                    let expected = "nothing beside `camera`, which says how well that is known, or \"exactly\"";
+                    return Err(Fault::new(format!("known.{name}"), sigma, expected));
+                }
             }
         }
+        self.camera.map(CameraPrior::validated).transpose()?;
         Ok(self)
     }
 }
@@ -144,6 +146,22 @@ mod tests {
     fn a_parameter_that_is_not_there_is_told() {
         let unknown = Assumptions::free().with("tlit_rad", Knowledge::Known).validated().unwrap_err().to_string();
         assert!(unknown.contains("tlit_rad") && unknown.contains("tilt_rad"), "{unknown}");
+    }
+
+    #[test]
+    fn a_camera_is_known_from_one_place() {
+        let camera = CameraPrior::two_planes([11.4, 1.1, 0.003, 256.0, 239.0]);
+        let known = |knowledge| Assumptions::free().with("f_mm", knowledge);
+        assert!(known(Knowledge::Within(1e-4)).validated().is_ok());
+        let both = |knowledge| Assumptions { camera: Some(camera), ..known(knowledge) };
+        let told = both(Knowledge::Within(1e-4)).validated().unwrap_err().to_string();
+        assert!(told.starts_with("known.f_mm: found 0.0001, expected nothing beside `camera`"), "{told}");
+        assert!(both(Knowledge::Known).validated().is_ok());
+        assert!(both(Knowledge::Free).with("tilt_rad", Knowledge::Within(1e-3)).validated().is_ok());
+        let mut broken = camera;
+        broken.values[2] = f64::NAN;
+        let told = Assumptions { camera: Some(broken), ..Assumptions::free() }.validated().unwrap_err().to_string();
+        assert!(told.starts_with("camera.k_per_mm2"), "{told}");
     }
 
     #[test]

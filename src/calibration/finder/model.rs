@@ -6,38 +6,11 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 
 use super::known::{Assumptions, Knowledge};
 use super::measured::{Observations, Slit, Surface};
+pub(super) use super::parameters::{CAMERA_AT, PARAMETERS, TAPE_AT};
 use crate::calibration::solve::Parameter;
 use crate::fault::{Fault, Result, number_within};
 use crate::geometry::{Plane, Point, Robot};
 use crate::optics::{Axis, Camera, Distortion, Laser, MirrorLaser, Rig};
-
-/// The parameters of the finder that every bundle has: name, unit, how far from its first guess it may be where nobody
-/// knows better, and the change over which residuals bend.
-pub(super) const PARAMETERS: [(&str, &str, f64, f64); 18] = [
-    ("camera_height_m", "m", 1.0, 1.0),            // h_B
-    ("x0_m", "m", 1.0, 1.0),                       // (38)
-    ("tilt_rad", "rad", 0.5, 1.0),                 // θv
-    ("roll_rad", "rad", 0.1, 1.0),                 // of the camera about its view
-    ("pan_rad", "rad", 0.1, 1.0),                  // of the camera about the vertical
-    ("mirror_height_m", "m", 1.0, 1.0),            // lA
-    ("beam_zero_rad", "rad", 0.5, 1.0),            // θB at pulse 0
-    ("beam_rad_per_pulse", "rad", 1.6e-5, 1.6e-3), // the gain: 1 %
-    ("slit_roll_rad", "rad", 0.05, 1.0),           // of the slit about the beam
-    ("mirror_x_m", "m", 0.02, 1.0),                // of A ahead of the cylinder's axis; beside it, no slit tells
-    ("camera_y_m", "m", 0.02, 1.0),                // of the camera beside it
-    ("axis_pitch_rad", "rad", 0.02, 1.0),          // of the cylinder's axis from the floor's normal
-    ("axis_roll_rad", "rad", 0.02, 1.0),           //
-    ("f_mm", "mm", 1.0, 10.0),                     // lf
-    ("scale_u", "1", 0.1, 1.0),                    // Su (25)
-    ("k_per_mm2", "1/mm2", 5e-3, 1e-2),            // (22), (23)
-    ("cu_px", "px", 30.0, 500.0),                  // (25)
-    ("cv_px", "px", 30.0, 500.0),                  // (26)
-];
-
-/// Where the camera's parameters start among these.
-pub(super) const CAMERA_AT: usize = 13;
-/// After those of the finder: where the tape begins (xR), and two for each wall.
-pub(super) const TAPE_AT: usize = PARAMETERS.len();
 
 /// A finder with numbers in the order of [`PARAMETERS`], then the tape, then the walls (angle and distance on the tape).
 pub(super) struct Model<'a> {
@@ -175,15 +148,35 @@ impl Model<'_> {
         }
     }
 
+    /// Whether something was known of a parameter beforehand that is worth keeping.
+    pub fn is_prior(&self, i: usize) -> bool {
+        let camera = (CAMERA_AT..TAPE_AT).contains(&i) && self.assumptions.camera.is_some();
+        camera || matches!(self.knowledge(i), Knowledge::Within(_)) || i > TAPE_AT
+    }
+
+    /// Whether what is believed of parameter `i` before the data is made up: so wide that it should not matter.
+    pub fn is_ignorance(&self, i: usize) -> bool {
+        let angle_of_wall = i > TAPE_AT && (i - TAPE_AT) % 2 == 1;
+        !angle_of_wall && (i >= TAPE_AT || !self.is_prior(i))
+    }
+
     fn has_tape(&self) -> bool {
         self.seen.slits.iter().any(|slit| slit.mark_m.is_some())
             || self.seen.walls.iter().any(|wall| wall.mark_m.is_some())
     }
 
-    /// Rows of what is known beforehand: (p − expected)/σ, independent.
-    pub fn prior_rows(&self, p: &[f64], expected: &[f64], whitening: Option<&[Vec<f64>]>, out: &mut Vec<f64>) {
+    /// Rows of what is known beforehand: (p − expected)/σ, independent. What is made up is taken `wider` times as wide.
+    pub fn prior_rows(
+        &self,
+        p: &[f64],
+        expected: &[f64],
+        whitening: Option<&[Vec<f64>]>,
+        wider: f64,
+        out: &mut Vec<f64>,
+    ) {
+        // A camera's calibration is all that is known of it: `Assumptions` refuse more.
         for i in (0..p.len()).filter(|i| whitening.is_none() || !(CAMERA_AT..TAPE_AT).contains(i)) {
-            let sigma = self.sigma_before(i);
+            let sigma = self.sigma_before(i) * if self.is_ignorance(i) { wider } else { 1.0 };
             if sigma > 0.0 {
                 out.push((p[i] - expected[i]) / sigma);
             }
@@ -197,6 +190,16 @@ impl Model<'_> {
                 out.push((p[at + 1] - mark) / self.seen.mark_sigma_m);
             }
         }
+    }
+
+    /// [`Self::slit_rows`] of all slits; `None` where the finder of numbers `p` cannot see one of them.
+    pub fn data_rows(&self, p: &[f64]) -> Option<Vec<f64>> {
+        let rig = self.rig(p);
+        let mut rows = Vec::new();
+        for slit in &self.seen.slits {
+            self.slit_rows(&rig, p, slit, &mut rows)?;
+        }
+        Some(rows)
     }
 
     /// What a slit measures minus what the finder `rig` of numbers `p` explains, over the standard deviations; independent
