@@ -256,3 +256,12 @@ fn the_line_through_the_pupil_is_its_share_of_the_fan() {
     let broad = Sheet { waist_m: 8e-3, ..Rig::metro_i().sheet };
     assert_eq!(safety(&broad, 3e-3).bare_beam.unwrap().class, "2M");
 }
+
+#[test]
+fn a_wavelength_that_silicon_does_not_see_is_told() {
+    let said = |nm: &str| {
+        let (_dir, all) = designed(&["--wavelength-nm", nm]);
+        all["findings"].as_array().unwrap().iter().any(|f| f["text"].as_str().unwrap().contains("silicon"))
+    };
+    assert!(said("1550") && said("300") && !said("650"));
+}

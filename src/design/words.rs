@@ -7,6 +7,9 @@ use super::light::Reach;
 use super::Design;
 use crate::optics::Laser;
 
+/// Where silicon sees [nm].
+const SILICON_NM: std::ops::RangeInclusive<f64> = 350.0..=1050.0;
+
 /// What a finding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -238,6 +241,16 @@ fn light(all: &Design) -> Vec<Finding> {
             _ => Kind::Good,
         };
         list.push(finding("light", kind, text));
+    }
+    let nm = all.given.wavelength_nm;
+    if !SILICON_NM.contains(&nm) {
+        let text = format!(
+            "At {} nm a silicon camera sees next to nothing, while its quantum efficiency was taken as {} as at any other: all \
+             levels here hold for a sensor that has that much there.",
+            short(nm, 0),
+            short(all.instrument.image.quantum_efficiency, 2)
+        );
+        list.push(finding("light", Kind::Warning, text));
     }
     let reach = |ambient: &str| {
         let part = |r: &Reach| {
