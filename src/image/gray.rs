@@ -33,6 +33,7 @@ impl Image {
     }
 
     /// Columns.
+    #[inline]
     pub fn width(&self) -> usize {
         self.width
     }
@@ -48,6 +49,7 @@ impl Image {
     }
 
     /// All levels, row by row from the top.
+    #[inline]
     pub fn levels(&self) -> &[u8] {
         &self.levels
     }
@@ -58,6 +60,7 @@ impl Image {
     }
 
     /// The levels of one row.
+    #[inline]
     pub fn row(&self, v: usize) -> &[u8] {
         &self.levels[v * self.width..(v + 1) * self.width]
     }

@@ -94,16 +94,19 @@ pub(super) fn gauss5(level: [f32; SIZE], noise: Noise) -> (f32, f32) {
     // dδ/d(ln I) is a parabola in x too: times the weight, and d(ln I)/dI = 1/I.
     let (p0, p1, p2) = (c01 + 2.0 * offset * c02, c11 + 2.0 * offset * c12, c12 + 2.0 * offset * c22);
     let (per_determinant, logs) = (1.0 / determinant, [la, lb, 0.0, ld, le]);
-    let (mut variance, mut misfit) = (0.0, 0.0);
+    // The sum of squares over variances is a fraction: one division is as long as ten products.
+    let (mut variance, mut misfit, mut divisor) = (0.0, 0.0, 1.0);
     for i in 0..SIZE {
         let x = i as f32 - REACH as f32;
         let part = ratio[i] * (p0 + x * (p1 + x * p2)) * per_bend * scale;
         let of_pixel = noise.dark + noise.shot * level[i].max(0.0);
         variance += part * part * of_pixel;
         let residual = ratio[i] * (logs[i] - (height + x * (slope + x * bend)) * per_determinant) * peak;
-        misfit += residual * residual / (of_pixel + (SHAPE * peak) * (SHAPE * peak));
+        let expected = of_pixel + (SHAPE * peak) * (SHAPE * peak);
+        misfit = misfit * expected + residual * residual * divisor;
+        divisor *= expected;
     }
-    let variance = if misfit > MISFIT { variance + 0.25 * width2 } else { variance };
+    let variance = if misfit > MISFIT * divisor { variance + 0.25 * width2 } else { variance };
     let q = 1.198 + width2 * (1.930 + 5.0 * width2);
     let (qq, inside) = (q * q, (1.0 - 4.0 * offset * offset).max(0.0));
     (offset - offset * inside / (qq * qq), variance)

@@ -80,3 +80,22 @@ pub(super) fn chunk_of(row: &[u8], chunk: usize) -> Lanes<u8> {
         }
     }
 }
+
+/// A bit for each lane: whether it has its highest one set.
+#[inline(always)]
+pub(super) fn bits(lanes: &Lanes<u8>) -> u32 {
+    let mut bits = 0;
+    #[cfg(target_arch = "x86_64")]
+    for (half, lanes) in lanes.as_chunks::<16>().0.iter().enumerate() {
+        use std::arch::x86_64::{_mm_loadu_si128, _mm_movemask_epi8};
+        // SAFETY: reads the sixteen bytes of the array, wherever they lie; SSE2 is part of x86_64.
+        #[allow(unsafe_code)]
+        let sixteen = unsafe { _mm_movemask_epi8(_mm_loadu_si128(lanes.as_ptr().cast())) };
+        bits |= (sixteen as u32) << (16 * half);
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    for (i, lane) in lanes.iter().enumerate() {
+        bits |= u32::from(lane >> 7) << i;
+    }
+    bits
+}

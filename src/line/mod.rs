@@ -28,6 +28,7 @@ mod fit;
 #[allow(clippy::needless_range_loop)] // Lanes of several arrays, side by side.
 mod gauss;
 mod lanes;
+#[allow(clippy::needless_range_loop)] // Lanes of several arrays, side by side.
 mod noise;
 mod peak;
 mod ridge;
@@ -45,10 +46,10 @@ use crate::image::{Drop, Image, Line, Peak};
 pub use peak::Estimator;
 
 use choose::{Chooser, find_isolated};
-use lanes::{LANES, run};
+use lanes::{LANES, bits, run};
 use ridge::{Found, Grid};
 use scan::{Limits, Scan};
-use tops::{LookAll, Tops};
+use tops::{LookAll, Scene, Tops, Window};
 use view::View;
 
 /// Which of several peaks in a column is the line's.
@@ -156,6 +157,7 @@ pub struct Extractor {
     is_wide: bool,
     scan: Scan,
     tops: Vec<Tops>,
+    window: Window,
     chooser: Chooser,
     /// Rows of the peaks; no number where there is none.
     rows: Vec<f32>,
@@ -174,6 +176,7 @@ impl Extractor {
             is_wide: true,
             scan: Scan::default(),
             tops: Vec::new(),
+            window: Window::default(),
             chooser: Chooser::default(),
             rows: Vec::new(),
             is_strong: Vec::new(),
@@ -241,7 +244,7 @@ impl Extractor {
 
     /// Ridges, path, peaks, distance test; returns the noise of a pixel [levels] and what a ridge had to have.
     fn find(&mut self, view: &View, line: &mut Line) -> (f32, Limits) {
-        let Self { params, is_wide, scan, tops, chooser, .. } = self;
+        let Self { params, is_wide, scan, tops, window, chooser, .. } = self;
         let (image, is_wide) = (view.image, *is_wide);
         let grid = Grid::new(image, params.background_px / 4);
         let mut median = scan.scan(image, grid, is_wide);
@@ -249,9 +252,10 @@ impl Extractor {
             median = scan.scan_again(image, grid, is_wide);
         }
         let (noise, limits) = (noise::of_pixel(median), choose::limits(median, params));
-        scan.find(grid, limits, is_wide);
+        scan.find(limits, is_wide);
         tops.resize(scan.tops.len(), Tops::default());
-        run(LookAll { image, grid, look: view.look(noise), limits, groups: &scan.tops, tops }, is_wide);
+        let scene = Scene { image, grid, look: view.look(noise), limits };
+        run(LookAll { scene, groups: &scan.tops, tops, window }, is_wide);
         let top = |u: usize| tops[u / LANES].found(u % LANES, limits);
         let other = |(u, group): &(u32, u16)| {
             let (u, group) = (*u as usize, usize::from(*group));
@@ -298,19 +302,27 @@ impl Extractor {
     /// The distance test; the line, and the count of what has no peak.
     fn reject(&mut self, image: &Image, line: &mut Line) {
         let Self { params, tops, rows, is_strong, isolated, .. } = self;
-        rows.clear();
-        is_strong.clear();
-        for tops in tops.iter() {
-            rows.extend_from_slice(&tops.v);
-            is_strong.extend_from_slice(&tops.is_strong);
+        rows.resize(tops.len() * LANES, f32::NAN);
+        is_strong.resize(tops.len() * LANES, 0);
+        let (mut no_line, mut dark) = (0, 0);
+        let copies = rows.as_chunks_mut::<LANES>().0.iter_mut().zip(is_strong.as_chunks_mut::<LANES>().0);
+        for (tops, (rows, is_strong)) in tops.iter().zip(copies) {
+            (*rows, *is_strong) = (tops.v, tops.is_strong);
+            let (mut none, mut no_peak) = ([0u8; LANES], [0u8; LANES]);
+            for i in 0..LANES {
+                none[i] = 0u8.wrapping_sub(u8::from(tops.v[i].is_nan()));
+                no_peak[i] = none[i] & 0u8.wrapping_sub(tops.is_strong[i]);
+            }
+            no_line += bits(&no_peak).count_ones();
+            dark += (bits(&none) & !bits(&no_peak)).count_ones();
         }
+        // Beyond the last column all is dark.
+        dark -= (rows.len() - image.width()) as u32;
         rows.truncate(image.width());
-        let none = || rows.iter().zip(is_strong.iter()).filter(|(v, _)| v.is_nan());
-        let no_line = none().filter(|(_, is)| **is != 0).count();
-        let mut dark = none().count() - no_line;
+        is_strong.truncate(image.width());
         find_isolated(rows, is_strong, params, isolated);
         let strong = isolated.iter().filter(|u| is_strong[**u] != 0).count();
-        dark += isolated.len() - strong;
+        dark += (isolated.len() - strong) as u32;
         for u in isolated.iter() {
             rows[*u] = f32::NAN;
         }
@@ -323,8 +335,8 @@ impl Extractor {
             );
         }
         line.dropped.0.clear();
-        line.dropped.add_many(Drop::Dark, dark as u64);
-        line.dropped.add_many(Drop::NotALine, no_line as u64);
+        line.dropped.add_many(Drop::Dark, u64::from(dark));
+        line.dropped.add_many(Drop::NotALine, u64::from(no_line));
         line.dropped.add_many(Drop::Isolated, strong as u64);
     }
 }

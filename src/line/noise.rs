@@ -32,17 +32,66 @@ impl Counts {
 
     /// The median, interpolated within whole numbers; 0 of none.
     pub fn median(&self) -> f32 {
-        let half = self.0.iter().sum::<u32>() as f32 / 2.0;
-        let mut below = 0.0;
-        for (number, count) in self.0.iter().enumerate().filter(|(_, count)| **count > 0) {
-            let count = *count as f32;
-            if below + count >= half {
-                return (number as f32 - 0.5 + (half - below) / count).max(0.0);
-            }
-            below += count;
-        }
-        0.0
+        let all = self.0.iter().sum();
+        median((0..).zip(self.0.iter().copied()), all)
     }
+}
+
+/// How many ridges have which byte; quick where there are many.
+#[derive(Clone, Debug)]
+pub(super) struct Bytes {
+    /// Noise is of few bytes: one counter of each would wait for itself.
+    of: Box<[[u16; 256]; 4]>,
+    all: u32,
+}
+
+impl Default for Bytes {
+    fn default() -> Self {
+        Self { of: Box::new([[0; 256]; 4]), all: 0 }
+    }
+}
+
+impl Bytes {
+    pub fn clear(&mut self) {
+        *self.of = [[0; 256]; 4];
+        self.all = 0;
+    }
+
+    /// Counts every second one; 65535 · 4 in all at most.
+    pub fn add_half(&mut self, bytes: &[u8]) {
+        let [a, b, c, d] = &mut *self.of;
+        let (eights, rest) = bytes.as_chunks::<8>();
+        for eight in eights {
+            a[usize::from(eight[0])] += 1;
+            b[usize::from(eight[2])] += 1;
+            c[usize::from(eight[4])] += 1;
+            d[usize::from(eight[6])] += 1;
+        }
+        for byte in rest.iter().step_by(2) {
+            a[usize::from(*byte)] += 1;
+        }
+        self.all += bytes.len().div_ceil(2) as u32;
+    }
+
+    /// The median of what the bytes stand for, as above.
+    pub fn median(&self, strength: impl Fn(u8) -> i16) -> f32 {
+        let count = |byte: u8| self.of.iter().map(|of| u32::from(of[usize::from(byte)])).sum();
+        median((0..=u8::MAX).map(|byte| (strength(byte), count(byte))), self.all)
+    }
+}
+
+/// Of numbers in order, and how many there are of each.
+fn median(counts: impl Iterator<Item = (i16, u32)>, all: u32) -> f32 {
+    let half = all as f32 / 2.0;
+    let mut below = 0.0;
+    for (number, count) in counts.filter(|(_, count)| *count > 0) {
+        let count = count as f32;
+        if below + count >= half {
+            return (f32::from(number) - 0.5 + (half - below) / count).max(0.0);
+        }
+        below += count;
+    }
+    0.0
 }
 
 #[cfg(test)]

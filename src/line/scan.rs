@@ -4,8 +4,8 @@
 //! cache. It comes with two kinds of sums (`Sums`): rounded means in eight bits, which are fast, and exact ones, for
 //! images so quiet that the rounding would hide a faint line. Both only say where to look.
 
-use super::lanes::{Aligned, LANES, Lanes, Work, chunk_of, run};
-use super::noise::Counts;
+use super::lanes::{Aligned, LANES, Lanes, Work, bits, chunk_of, run};
+use super::noise::Bytes;
 use super::ridge::{GROUP, GROUPS, Grid};
 use crate::image::Image;
 
@@ -15,8 +15,12 @@ const PLACES: usize = 32;
 const FINE_BELOW: i16 = 12;
 /// In a column, what is this many powers of two weaker than the strongest (to the rounding) is not looked at.
 const RIVAL_SHIFT: u32 = 3;
-/// Rows that are fetched ahead: far enough for the memory, near enough for the fastest cache.
-const AHEAD: usize = 3 * GROUP;
+/// Groups that are summed at once.
+const STEP: usize = 2;
+/// Rows that this takes: their own, and the first one below.
+const ROWS: usize = STEP * GROUP + 1;
+/// Rows ahead that are fetched from the memory.
+const FAR: usize = 8 * GROUP;
 
 /// A way to add up levels.
 trait Sums {
@@ -54,6 +58,7 @@ impl Sums for Coarse {
         // A ridge of this strength is at least strength/4 − 1, its background being at most a level too bright.
         (strength.max(0) as u16).div_ceil(4).saturating_sub(1).min(255) as u8
     }
+    #[inline(always)]
     fn strength(byte: u8) -> i16 {
         4 * i16::from(byte)
     }
@@ -85,6 +90,7 @@ impl Sums for Fine {
     fn least(strength: i16) -> u8 {
         Self::excess(strength.max(0) as u16, 0)
     }
+    #[inline(always)]
     fn strength(byte: u8) -> i16 {
         let above = i16::from(byte) - Self::KNEE as i16;
         if above > 0 { Self::KNEE as i16 + 16 * above } else { i16::from(byte) }
@@ -96,8 +102,11 @@ impl Sums for Fine {
 struct Rows<T: Copy + Default> {
     /// Sum of the last row of the group above and the first of this one.
     pairs: Vec<Aligned<T>>,
-    /// The latest groups, a ring.
+    /// The latest groups, a ring of `kept`.
     groups: Vec<Group<T>>,
+    kept: usize,
+    /// The group that is at the ring's beginning.
+    first: usize,
 }
 
 /// A group of rows in `LANES` columns.
@@ -129,7 +138,9 @@ pub(super) struct Scan {
     best: Best,
     /// Whether that is from exact sums.
     is_fine: bool,
-    ridges: Counts,
+    ridges: Bytes,
+    /// The bands of a chunk that are worth a look, and the columns where, a bit each.
+    hits: Vec<(u16, u32)>,
     /// For the tests: exact sums for every image.
     #[cfg(test)]
     pub always_fine: bool,
@@ -144,7 +155,7 @@ pub(super) struct Scan {
 struct Best {
     /// Columns.
     width: usize,
-    /// Entries a row of columns.
+    /// Chunks of columns.
     chunks: usize,
     /// Bands × chunks.
     bands: Vec<Band>,
@@ -162,8 +173,8 @@ struct Band {
 impl Scan {
     /// Looks at every pixel of the image; returns the median of the bands' strongest ridges [4 × levels].
     pub fn scan(&mut self, image: &Image, grid: Grid, is_wide: bool) -> f32 {
-        run(Pass::<Coarse> { image, grid, rows: &mut self.coarse, best: &mut self.best }, is_wide);
         self.is_fine = false;
+        run(Pass::<Coarse> { image, grid, rows: &mut self.coarse, best: &mut self.best }, is_wide);
         self.median::<Coarse>()
     }
 
@@ -178,16 +189,16 @@ impl Scan {
 
     /// The same as `scan` with exact sums.
     pub fn scan_again(&mut self, image: &Image, grid: Grid, is_wide: bool) -> f32 {
-        run(Pass::<Fine> { image, grid, rows: &mut self.fine, best: &mut self.best }, is_wide);
         self.is_fine = true;
+        run(Pass::<Fine> { image, grid, rows: &mut self.fine, best: &mut self.best }, is_wide);
         self.median::<Fine>()
     }
 
     /// Fills `tops` and `others`: all that reach the limits, and some that do not quite, but none that is eight times
     /// weaker than the strongest of its column.
-    pub fn find(&mut self, grid: Grid, limits: Limits, is_wide: bool) {
+    pub fn find(&mut self, limits: Limits, is_wide: bool) {
         let least = if self.is_fine { Fine::least(limits.weak) } else { Coarse::least(limits.weak) }.max(1);
-        run(Find { scan: self, least, width: grid.width }, is_wide);
+        run(Find { scan: self, least }, is_wide);
     }
 
     /// The median ridge of bands in columns all over the image.
@@ -195,16 +206,15 @@ impl Scan {
         let Self { best: Best { width, chunks, bands }, ridges, .. } = self;
         ridges.clear();
         let in_band = (PLACES * *chunks).div_ceil(bands.len()).min(*chunks);
-        for (place, band) in bands.chunks_exact(*chunks).flat_map(|band| std::iter::repeat_n(band, in_band)).enumerate()
-        {
-            // The golden ratio spreads the places; no pattern of the image is in step with it.
-            let chunk = (((place * 40_503) & 0xFFFF) * *chunks) >> 16;
-            let lanes = LANES.min(*width - chunk * LANES);
-            for byte in band[chunk].ridge.0[..lanes].iter().step_by(2) {
-                ridges.add(S::strength(*byte));
+        for (number, band) in bands.chunks_exact(*chunks).enumerate() {
+            for place in number * in_band..(number + 1) * in_band {
+                // The golden ratio spreads the places; no pattern of the image is in step with it.
+                let chunk = (((place * 40_503) & 0xFFFF) * *chunks) >> 16;
+                let lanes = LANES.min(*width - chunk * LANES);
+                ridges.add_half(&band[chunk].ridge.0[..lanes]);
             }
         }
-        ridges.median()
+        ridges.median(S::strength)
     }
 }
 
@@ -217,60 +227,23 @@ struct Pass<'a, S: Sums> {
 }
 
 impl<S: Sums> Work for Pass<'_, S> {
-    /// Group after group: sums of its own rows, then the ridges of the group `gap` above, whose lower box is now known.
+    /// Band after band: sums of its own rows, then the ridges of the band `late` above, whose lower boxes are now known.
     #[inline(always)]
     fn run(self) {
-        let Self { image, grid, rows: Rows { pairs, groups }, best } = self;
+        let Self { image, grid, rows, best } = self;
         let chunks = grid.width.div_ceil(LANES);
         (best.width, best.chunks) = (grid.width, chunks);
-        best.bands.clear();
         best.bands.resize(grid.bands * chunks, Band::default());
-        pairs.resize(chunks, Aligned::default());
-        // Beyond the image, its edge goes on.
-        for (k, pairs) in pairs.iter_mut().enumerate() {
-            let edge = chunk_of(image.row(0), k);
-            for i in 0..LANES {
-                pairs.0[i] = S::add(S::of(edge[i]), S::of(edge[i]));
+        let late = grid.gap.div_ceil(GROUPS);
+        rows.reset::<S>(image, chunks, (2 * late + 1) * GROUPS);
+        for band in 0..grid.bands + late {
+            if band < grid.bands {
+                for step in 0..GROUPS / STEP {
+                    rows.sum::<S>(image, grid.height, band * GROUPS + step * STEP);
+                }
             }
-        }
-        let places = 2 * grid.gap + 1;
-        groups.resize(chunks * places, Group::default());
-        let of = |place: usize| place * chunks..(place + 1) * chunks;
-        // Where the latest group is in the ring. Counted, as a division would find its way into the innermost loop.
-        let mut at = 0;
-        for group in 0..grid.groups + grid.gap {
-            let is_inside = group < grid.groups;
-            if is_inside {
-                fetch(image, group * GROUP + AHEAD);
-                at = if group == 0 || at + 1 == places { 0 } else { at + 1 };
-            }
-            let Some(here) = group.checked_sub(grid.gap) else {
-                if is_inside {
-                    sum_group::<S>(image, grid.height, group, pairs, &mut groups[of(at)], None);
-                }
-                continue;
-            };
-            // Beyond the last group, its box goes on, and the ring turns no more: as many steps back as there are left.
-            let late = (group + 1).saturating_sub(grid.groups);
-            let back = |steps: usize| if at >= steps { at - steps } else { at + places - steps };
-            let of_here = back(grid.gap - late);
-            let of_above = if here < grid.gap { 0 } else { back(2 * grid.gap - late) };
-            let bands = &mut best.bands[of(here / GROUPS)];
-            let tag = (here % GROUPS) as u8;
-            if !is_inside {
-                for k in 0..chunks {
-                    let (top, above) = (&groups[of_here * chunks + k].top, &groups[of_above * chunks + k].side);
-                    compare::<S>([&top.0, &above.0, &groups[at * chunks + k].side.0], tag, &mut bands[k]);
-                }
-            } else if of_here == of_above {
-                // In the first group its own box is the one above.
-                if let Ok([new, top]) = groups.get_disjoint_mut([of(at), of(of_here)]) {
-                    let compared = Compared { top, above: top, tag, bands };
-                    sum_group::<S>(image, grid.height, group, pairs, new, Some(compared));
-                }
-            } else if let Ok([new, top, above]) = groups.get_disjoint_mut([of(at), of(of_here), of(of_above)]) {
-                let compared = Compared { top, above, tag, bands };
-                sum_group::<S>(image, grid.height, group, pairs, new, Some(compared));
+            if let Some(band) = band.checked_sub(late) {
+                rows.compare::<S>(grid, band, &mut best.bands[band * chunks..(band + 1) * chunks]);
             }
         }
     }
@@ -281,220 +254,242 @@ struct Find<'a> {
     scan: &'a mut Scan,
     /// The smallest byte that may reach the limit.
     least: u8,
-    width: usize,
 }
 
 impl Work for Find<'_> {
     #[inline(always)]
     fn run(self) {
-        let Self { scan: Scan { best, tops, others, .. }, least, width } = self;
+        let Self { scan: Scan { best, tops, hits, others, .. }, least } = self;
         others.clear();
         tops.clear();
+        hits.resize(best.bands.len() / best.chunks, (0, 0));
         for chunk in 0..best.chunks {
-            let (top, group) = best.strongest(chunk);
-            let (mut limit, mut seen) = ([0u8; LANES], [NOTHING; LANES]);
+            let bands = || best.bands.chunks_exact(best.chunks).map(|band| &band[chunk]);
+            let mut top = [0u8; LANES];
+            for Band { ridge, .. } in bands() {
+                for i in 0..LANES {
+                    top[i] = top[i].max(ridge.0[i]);
+                }
+            }
+            // Beyond the last column all is 0, and `least` is not.
+            let mut limit = [0u8; LANES];
             for i in 0..LANES {
                 limit[i] = (top[i] >> RIVAL_SHIFT).max(least);
             }
-            for i in 0..LANES {
-                seen[i] = if top[i] >= least { group[i] } else { NOTHING };
+            // Without a branch that no machine could guess.
+            let mut count = 0;
+            for (number, band) in bands().enumerate() {
+                let columns = band.reaches(&limit);
+                hits[count] = (number as u16, columns);
+                count += usize::from(columns != 0);
             }
-            tops.push(seen);
-            best.mark(chunk, &limit, &group);
-        }
-        best.marked(width, others);
-        // Beyond the last column there is nothing.
-        if let Some(last) = tops.last_mut() {
-            let beyond = width % LANES;
-            last[if beyond == 0 { LANES } else { beyond }..].fill(NOTHING);
-        }
-    }
-}
-
-impl Best {
-    /// The strongest ridge of each column of a chunk, and its group. Of equals, the upper one.
-    #[inline(always)]
-    fn strongest(&self, chunk: usize) -> (Lanes<u8>, Lanes<u16>) {
-        let (mut top, mut bands, mut groups) = ([0u8; LANES], [0u16; LANES], [0u8; LANES]);
-        for (band, all) in self.bands.chunks_exact(self.chunks).enumerate() {
-            let (ridge, group, band) = (&all[chunk].ridge.0, &all[chunk].group.0, band as u16);
-            let (mut larger, mut its_band, mut its_group) = ([0u8; LANES], [0u16; LANES], [0u8; LANES]);
-            for i in 0..LANES {
-                // All ones where it is larger: a choice without a branch.
-                let mask = 0u16.wrapping_sub(u16::from(ridge[i] > top[i]));
-                its_band[i] = (bands[i] & !mask) | (band & mask);
+            let hits = &hits[..count];
+            let band = |number: u16| &best.bands[usize::from(number) * best.chunks + chunk];
+            let mut groups = [NOTHING; LANES];
+            // Of equals, the upper one: it comes last.
+            for (number, _) in hits.iter().rev() {
+                band(*number).place(&top, *number, &mut groups);
             }
             for i in 0..LANES {
-                let mask = 0u8.wrapping_sub(u8::from(ridge[i] > top[i]));
-                its_group[i] = (groups[i] & !mask) | (group[i] & mask);
-                larger[i] = top[i].max(ridge[i]);
+                groups[i] = if top[i] >= least { groups[i] } else { NOTHING };
             }
-            (top, bands, groups) = (larger, its_band, its_group);
-        }
-        for i in 0..LANES {
-            bands[i] = bands[i] * GROUPS as u16 + u16::from(groups[i]);
-        }
-        (top, bands)
-    }
-
-    /// Makes of the ridges of a chunk marks: 1 where one reaches the limit of its column and is neither the strongest nor
-    /// its flank in the group beside it.
-    #[inline(always)]
-    fn mark(&mut self, chunk: usize, limit: &Lanes<u8>, strongest: &Lanes<u16>) {
-        for (band, all) in self.bands.chunks_exact_mut(self.chunks).enumerate() {
-            let Band { ridge, group } = &mut all[chunk];
-            let (ridge, group, first) = (&mut ridge.0, &group.0, (band * GROUPS) as u16);
-            let (mut is_far, mut marks) = ([0u8; LANES], [0u8; LANES]);
-            for i in 0..LANES {
-                is_far[i] = u8::from((first + u16::from(group[i])).abs_diff(strongest[i]) > 1);
-            }
-            for i in 0..LANES {
-                marks[i] = u8::from(ridge[i] >= limit[i]) & is_far[i];
-            }
-            *ridge = marks;
-        }
-    }
-
-    /// Column and group of what is marked; by column, then from the top.
-    #[inline(always)]
-    fn marked(&self, width: usize, others: &mut Vec<(u32, u16)>) {
-        for chunk in 0..self.chunks {
             let start = others.len();
-            for (band, all) in self.bands.chunks_exact(self.chunks).enumerate() {
-                for (eight, marks) in all[chunk].ridge.0.as_chunks::<8>().0.iter().enumerate() {
-                    let mut marks = u64::from_le_bytes(*marks);
-                    while marks != 0 {
-                        let lane = (eight * 8 + marks.trailing_zeros() as usize / 8) % LANES;
-                        marks &= marks - 1;
-                        let u = chunk * LANES + lane;
-                        if u < width {
-                            let in_band = all[chunk].group.0[lane];
-                            others.push((u as u32, (band * GROUPS) as u16 + u16::from(in_band)));
-                        }
-                    }
+            for (number, columns) in hits {
+                let mut columns = columns & band(*number).is_far(*number, &groups);
+                while columns != 0 {
+                    let lane = columns.trailing_zeros() as usize % LANES;
+                    columns &= columns - 1;
+                    let group = number * GROUPS as u16 + u16::from(band(*number).group.0[lane]);
+                    others.push(((chunk * LANES + lane) as u32, group));
                 }
             }
             // A few: columns come in order, groups of a column in theirs.
             others[start..].sort_by_key(|(u, _)| *u);
+            tops.push(groups);
         }
     }
 }
 
-/// Asks for the rows of a group before they are needed: the machine does not guess that five rows are read at once.
-#[inline(always)]
-fn fetch(image: &Image, v: usize) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        let from = (v * image.width()).min(image.levels().len());
-        let to = (from + GROUP * image.width()).min(image.levels().len());
-        for line in image.levels()[from..to].chunks_exact(64) {
-            // SAFETY: a hint that reads nothing and cannot fail, whatever the address; SSE is part of x86_64.
-            #[allow(unsafe_code)]
-            unsafe {
-                _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast());
+impl Band {
+    /// The columns whose ridge does, a bit each.
+    #[inline(always)]
+    fn reaches(&self, limit: &Lanes<u8>) -> u32 {
+        let mut reaches = [0u8; LANES];
+        for i in 0..LANES {
+            reaches[i] = 0u8.wrapping_sub(u8::from(self.ridge.0[i] >= limit[i]));
+        }
+        bits(&reaches)
+    }
+
+    /// Notes the band and the group in it of each ridge that is the strongest of its column.
+    #[inline(always)]
+    fn place(&self, top: &Lanes<u8>, number: u16, groups: &mut Lanes<u16>) {
+        let (ridge, group) = (&self.ridge.0, &self.group.0);
+        let mut new = [0u16; LANES];
+        for i in 0..LANES {
+            let is = 0u16.wrapping_sub(u16::from(ridge[i] == top[i]));
+            new[i] = (groups[i] & !is) | ((number * GROUPS as u16 + u16::from(group[i])) & is);
+        }
+        *groups = new;
+    }
+
+    /// Columns whose group is not the strongest's nor beside it, where it is the flank of that, a bit each.
+    #[inline(always)]
+    fn is_far(&self, number: u16, strongest: &Lanes<u16>) -> u32 {
+        let mut is_far = [0u8; LANES];
+        for i in 0..LANES {
+            let group = number * GROUPS as u16 + u16::from(self.group.0[i]);
+            is_far[i] = 0u8.wrapping_sub(u8::from(group.wrapping_sub(strongest[i]).wrapping_add(1) > 2));
+        }
+        bits(&is_far)
+    }
+}
+
+impl<T: Copy + Default + Ord> Rows<T> {
+    /// For an image of so many chunks of columns, to keep so many groups.
+    #[inline(always)]
+    fn reset<S: Sums<Sum = T>>(&mut self, image: &Image, chunks: usize, kept: usize) {
+        self.pairs.resize(chunks, Aligned::default());
+        self.groups.resize(chunks * kept, Group::default());
+        // Beyond the image, its edge goes on.
+        for (k, pairs) in self.pairs.iter_mut().enumerate() {
+            let edge = chunk_of(image.row(0), k);
+            for i in 0..LANES {
+                pairs.0[i] = S::add(S::of(edge[i]), S::of(edge[i]));
             }
+        }
+        (self.kept, self.first) = (kept, 0);
+    }
+
+    /// Pair sums, strongest rows and background boxes of `STEP` groups, for all columns.
+    #[inline(always)]
+    fn sum<S: Sums<Sum = T>>(&mut self, image: &Image, height: usize, group: usize) {
+        if group == self.first + self.kept {
+            self.first = group;
+        }
+        let (width, chunks) = (image.width(), self.pairs.len());
+        let place = (group - self.first) * chunks;
+        let pairs = &mut self.pairs[..chunks];
+        let (upper, lower) = self.groups[place..place + STEP * chunks].split_at_mut(chunks);
+        let (upper, lower) = (&mut upper[..chunks], &mut lower[..chunks]);
+        // Where the width is known, one address serves all rows. These are the most usual ones.
+        let v = group * GROUP;
+        let is_inside = v + ROWS <= height;
+        if is_inside
+            && (width == 512 && sum_fixed::<S, 16>(image, v, pairs, upper, lower)
+                || width == 640 && sum_fixed::<S, 20>(image, v, pairs, upper, lower)
+                || width == 1280 && sum_fixed::<S, 40>(image, v, pairs, upper, lower))
+        {
+            return;
+        }
+        let whole = width / LANES;
+        let row = |i: usize| image.row((v + i).min(height - 1));
+        let rows: [&[Lanes<u8>]; ROWS] = std::array::from_fn(|i| &row(i).as_chunks().0[..whole]);
+        for k in 0..whole {
+            fetch(image, v * width + k * STEP * GROUP * LANES);
+            sum::<S>(std::array::from_fn(|i| &rows[i][k]), &mut pairs[k].0, [&mut upper[k], &mut lower[k]]);
+        }
+        for k in whole..chunks {
+            let rest: [Lanes<u8>; ROWS] = std::array::from_fn(|i| chunk_of(row(i), k));
+            sum::<S>(rest.each_ref(), &mut pairs[k].0, [&mut upper[k], &mut lower[k]]);
+        }
+    }
+
+    /// The strongest ridges of a band, for all columns.
+    #[inline(always)]
+    fn compare<S: Sums<Sum = T>>(&self, grid: Grid, band: usize, bands: &mut [Band]) {
+        let (chunks, group) = (bands.len(), band * GROUPS);
+        // Above the image its first group goes on, below it the last. That makes no new ridge there: of equals, the
+        // upper one is taken.
+        let of = |group: usize| {
+            let group = group.min(grid.groups - 1);
+            let place = if group < self.first { group + self.kept } else { group } - self.first;
+            &self.groups[place * chunks..][..chunks]
+        };
+        let here: [_; GROUPS] = std::array::from_fn(|i| of(group + i));
+        let above: [_; GROUPS] = std::array::from_fn(|i| of((group + i).min(grid.groups - 1).saturating_sub(grid.gap)));
+        let below: [_; GROUPS] = std::array::from_fn(|i| of(group + i + grid.gap));
+        for k in 0..chunks {
+            let ridge = |g: usize, i: usize| {
+                let side = above[g][k].side.0[i].max(below[g][k].side.0[i]);
+                S::excess(here[g][k].top.0[i], side)
+            };
+            let (mut largest, mut tags) = ([0u8; LANES], [0u8; LANES]);
+            for i in 0..LANES {
+                let (a, b, c, d) = (ridge(0, i), ridge(1, i), ridge(2, i), ridge(3, i));
+                let (ab, cd) = (a.max(b), c.max(d));
+                let top = ab.max(cd);
+                // A choice without branches: all ones where it is so.
+                let is = |is: bool| 0u8.wrapping_sub(u8::from(is));
+                let (in_ab, is_a, is_c) = (is(ab == top), is(a == ab), is(c == cd));
+                tags[i] = (!is_a & 1 & in_ab) | (((!is_c & 1) | 2) & !in_ab);
+                largest[i] = top;
+            }
+            bands[k] = Band { ridge: Aligned(largest), group: Aligned(tags) };
+        }
+    }
+}
+
+/// Asks for what will be needed of the image, from the memory and from the second cache: the machine does not guess that
+/// so many rows are read at once.
+#[inline(always)]
+fn fetch(image: &Image, from: usize) {
+    #[cfg(target_arch = "x86_64")]
+    for line in 0..STEP * GROUP * LANES / 64 {
+        use std::arch::x86_64::{_MM_HINT_T0, _MM_HINT_T1, _mm_prefetch};
+        let ahead = |rows: usize| image.levels().as_ptr().wrapping_add(from + line * 64 + rows * image.width()).cast();
+        // SAFETY: hints that read nothing and cannot fail, whatever the address; SSE is part of x86_64.
+        #[allow(unsafe_code)]
+        unsafe {
+            _mm_prefetch::<_MM_HINT_T1>(ahead(FAR));
+            _mm_prefetch::<_MM_HINT_T0>(ahead(STEP * GROUP));
         }
     }
     #[cfg(not(target_arch = "x86_64"))]
-    let _ = (image, v);
+    let _ = (image, from);
 }
 
-/// The group whose ridges are found while another one, `gap` below it, is summed.
-struct Compared<'a, S: Sums> {
-    top: &'a [Group<S::Sum>],
-    above: &'a [Group<S::Sum>],
-    /// Its number in its band.
-    tag: u8,
-    bands: &'a mut [Band],
-}
-
-/// Pair sums, strongest row and background box of a group, for all columns.
+/// `Rows::sum` for images of so many whole chunks; `false` if these are not as many.
 #[inline(always)]
-fn sum_group<S: Sums>(
+fn sum_fixed<S: Sums, const CHUNKS: usize>(
     image: &Image,
-    height: usize,
-    group: usize,
+    v: usize,
     pairs: &mut [Aligned<S::Sum>],
-    sums: &mut [Group<S::Sum>],
-    compared: Option<Compared<S>>,
-) {
-    let (whole, chunks) = (image.width() / LANES, pairs.len());
-    let v = group * GROUP;
-    let (a, b, c) = (row(image, height, v), row(image, height, v + 1), row(image, height, v + 2));
-    let (d, e) = (row(image, height, v + 3), row(image, height, v + 4));
-    let mut rest = [[0; LANES]; 5];
-    if whole < chunks {
-        for (i, rest) in rest.iter_mut().enumerate() {
-            *rest = chunk_of(row(image, height, v + i), whole);
-        }
+    upper: &mut [Group<S::Sum>],
+    lower: &mut [Group<S::Sum>],
+) -> bool {
+    let levels = image.levels()[v * CHUNKS * LANES..].as_chunks::<LANES>().0.as_chunks::<CHUNKS>().0;
+    let sums =
+        (pairs.first_chunk_mut::<CHUNKS>(), upper.first_chunk_mut::<CHUNKS>(), lower.first_chunk_mut::<CHUNKS>());
+    let (Some(rows), (Some(pairs), Some(upper), Some(lower))) = (levels.first_chunk::<ROWS>(), sums) else {
+        return false;
+    };
+    for k in 0..CHUNKS {
+        fetch(image, v * CHUNKS * LANES + k * STEP * GROUP * LANES);
+        sum::<S>(std::array::from_fn(|i| &rows[i][k]), &mut pairs[k].0, [&mut upper[k], &mut lower[k]]);
     }
-    let (a, b, c) = (chunks_of(a, whole), chunks_of(b, whole), chunks_of(c, whole));
-    let (d, e) = (chunks_of(d, whole), chunks_of(e, whole));
-    let sums = &mut sums[..chunks];
-    match compared {
-        None => {
-            for k in 0..whole {
-                sum::<S>([&a[k], &b[k], &c[k], &d[k], &e[k]], &mut pairs[k].0, &mut sums[k]);
-            }
-            for k in whole..chunks {
-                sum::<S>(rest.each_ref(), &mut pairs[k].0, &mut sums[k]);
-            }
-        }
-        Some(Compared { top, above, tag, bands }) => {
-            let (top, above, bands) = (&top[..chunks], &above[..chunks], &mut bands[..chunks]);
-            for k in 0..whole {
-                sum::<S>([&a[k], &b[k], &c[k], &d[k], &e[k]], &mut pairs[k].0, &mut sums[k]);
-                compare::<S>([&top[k].top.0, &above[k].side.0, &sums[k].side.0], tag, &mut bands[k]);
-            }
-            for k in whole..chunks {
-                sum::<S>(rest.each_ref(), &mut pairs[k].0, &mut sums[k]);
-                compare::<S>([&top[k].top.0, &above[k].side.0, &sums[k].side.0], tag, &mut bands[k]);
-            }
-        }
-    }
+    true
 }
 
-/// A row; beyond the image, its edge goes on.
+/// One chunk of `Rows::sum`. No branches: compilers make vectors of it.
 #[inline(always)]
-fn row(image: &Image, height: usize, v: usize) -> &[u8] {
-    image.row(v.min(height - 1))
-}
-
-/// The whole chunks of a row.
-#[inline(always)]
-fn chunks_of(row: &[u8], whole: usize) -> &[Lanes<u8>] {
-    &row.as_chunks().0[..whole]
-}
-
-/// One chunk of `sum_group`. No branches: compilers make vectors of it.
-#[inline(always)]
-fn sum<S: Sums>(rows: [&Lanes<u8>; 5], pairs: &mut Lanes<S::Sum>, group: &mut Group<S::Sum>) {
-    let [a, b, c, d, e] = rows;
+fn sum<S: Sums>(rows: [&Lanes<u8>; ROWS], pairs: &mut Lanes<S::Sum>, groups: [&mut Group<S::Sum>; STEP]) {
     let nothing = [S::Sum::default(); LANES];
-    let (mut next, mut tops, mut sides) = (nothing, nothing, nothing);
-    for i in 0..LANES {
-        let (a, b, c, d, e) = (S::of(a[i]), S::of(b[i]), S::of(c[i]), S::of(d[i]), S::of(e[i]));
-        let (ab, bc, cd, de) = (S::add(a, b), S::add(b, c), S::add(c, d), S::add(d, e));
-        tops[i] = S::add(pairs[i], ab).max(S::add(ab, bc)).max(S::add(bc, cd).max(S::add(cd, de)));
-        sides[i] = S::add(ab, cd);
-        next[i] = de;
+    let mut last = *pairs;
+    for (g, group) in groups.into_iter().enumerate() {
+        let (mut next, mut tops, mut sides) = (nothing, nothing, nothing);
+        for i in 0..LANES {
+            let at = |row: usize| S::of(rows[g * GROUP + row][i]);
+            let (a, b, c, d, e) = (at(0), at(1), at(2), at(3), at(4));
+            let (ab, bc, cd, de) = (S::add(a, b), S::add(b, c), S::add(c, d), S::add(d, e));
+            // The larger of x + y and y + z is y and the larger of x and z.
+            tops[i] = S::add(ab, bc.max(last[i])).max(S::add(cd, bc.max(de)));
+            sides[i] = S::add(ab, cd);
+            next[i] = de;
+        }
+        (last, group.top.0, group.side.0) = (next, tops, sides);
     }
-    (*pairs, group.top.0, group.side.0) = (next, tops, sides);
-}
-
-/// Keeps the ridges of a group where they are larger than those of its band so far.
-#[inline(always)]
-fn compare<S: Sums>([top, above, below]: [&Lanes<S::Sum>; 3], tag: u8, band: &mut Band) {
-    let (best, group) = (&band.ridge.0, &band.group.0);
-    let (mut larger, mut tags) = ([0u8; LANES], [0u8; LANES]);
-    for i in 0..LANES {
-        let ridge = S::excess(top[i], above[i].max(below[i]));
-        let mask = 0u8.wrapping_sub(u8::from(ridge > best[i]));
-        tags[i] = (group[i] & !mask) | (tag & mask);
-        larger[i] = best[i].max(ridge);
-    }
-    (band.ridge.0, band.group.0) = (larger, tags);
+    *pairs = last;
 }
 
 #[cfg(test)]
@@ -562,7 +557,7 @@ mod tests {
             let limits = Limits { strong: 300, weak: 300 };
             let mut scan = Scan::default();
             scan.scan(&image, grid, true);
-            scan.find(grid, limits, true);
+            scan.find(limits, true);
             for u in 0..width {
                 let ridges = ridges(&image, u, 2);
                 let band_best = |g: usize| *ridges[g / 4 * 4..(g / 4 * 4 + 4).min(ridges.len())].iter().max().unwrap();
@@ -591,7 +586,7 @@ mod tests {
             let found = [true, false].map(|is_wide| {
                 let mut scan = Scan::default();
                 scan.scan_again(&image, grid, is_wide);
-                scan.find(grid, Limits { strong: 20, weak: 10 }, is_wide);
+                scan.find(Limits { strong: 20, weak: 10 }, is_wide);
                 (scan.tops, scan.others)
             });
             assert_eq!(found[0], found[1]);

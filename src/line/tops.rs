@@ -1,7 +1,7 @@
 //! The strongest ridge of every column with its peak, 32 columns at once: what most columns of most images need.
 
 use super::gauss::{self, Noise, OFFSET_MAX, Sensor, centroid5, gauss5};
-use super::lanes::{LANES, Lanes, Work, lanes_at};
+use super::lanes::{LANES, Lanes, Work, bits, lanes_at};
 use super::ridge::{Found, GROUP, Grid};
 use super::scan::{Limits, NOTHING};
 use crate::image::Image;
@@ -10,15 +10,8 @@ use crate::image::Image;
 const MARGIN: usize = gauss::REACH + 1;
 /// Rows about a group.
 const SIZE: usize = GROUP + 2 * MARGIN;
-
-/// The pixels about one group of rows in each of 32 columns.
-struct Window {
-    /// From `MARGIN` rows above the group to as many below.
-    rows: [Lanes<u8>; SIZE],
-    /// The rows of the background boxes.
-    above: [Lanes<u8>; GROUP],
-    below: [Lanes<u8>; GROUP],
-}
+/// Groups that are read at once.
+const SPAN: usize = 16;
 
 /// The tops of 32 columns.
 #[derive(Clone, Debug)]
@@ -76,34 +69,38 @@ impl Tops {
 
     /// Looks at a group of rows in each of the columns from `u` on.
     #[inline(always)]
-    fn look(&mut self, image: &Image, u: usize, groups: &Lanes<u16>, grid: &Grid, limits: Limits, look: &Look) {
-        let window = Window::read(image, u, groups, grid);
-        let mut first = [0u16; LANES];
+    fn look(&mut self, scene: &Scene, u: usize, groups: &Lanes<u16>, window: &mut Window) {
+        let Scene { image, grid, look, limits } = scene;
+        // Where the window would reach beyond the image, columns are looked at one by one.
+        let (first, last) = (grid.gap as u16, (grid.height / GROUP) as i32 - 1 - grid.gap as i32);
+        let mut inside = [NOTHING; LANES];
         for i in 0..LANES {
-            first[i] = groups[i].wrapping_mul(GROUP as u16);
+            let is_inside = (groups[i] >= first) & (i32::from(groups[i]) <= last);
+            inside[i] = if is_inside { groups[i] } else { NOTHING };
         }
-        let last = (grid.height - 1) as u16;
-        let (five, brightest) = self.place(&window, &first, last);
-        // What is no ridge has no strength.
+        window.read(image, u, &inside, grid);
+        let (five, brightest) = self.place(window, &inside, grid.gap);
+        let (mut is_plain, mut is_edge) = ([0u8; LANES], [0u8; LANES]);
         for i in 0..LANES {
-            self.strength[i] = if groups[i] == NOTHING { i16::MIN } else { self.strength[i] };
+            is_plain[i] = u8::from((inside[i] != NOTHING) & (five[gauss::REACH][i] < image.white()) & look.is_plain);
+            is_edge[i] = u8::from(inside[i] != groups[i]);
         }
-        let mut is_plain = [0u8; LANES];
-        for i in 0..LANES {
-            let is_inside = first[i] >= MARGIN as u16 && first[i] <= last.saturating_sub((GROUP + MARGIN - 1) as u16);
-            is_plain[i] = u8::from(is_inside & look.is_plain);
+        if is_edge != [0; LANES] {
+            for i in (0..LANES).filter(|i| is_edge[*i] != 0) {
+                let Found { strength, row, boxes } = grid.exact(image, u + i, usize::from(groups[i]));
+                (self.strength[i], self.row[i], self.boxes[i]) = (strength, row, boxes);
+            }
         }
-        for i in 0..LANES {
-            is_plain[i] &= u8::from(five[gauss::REACH][i] < image.white());
-        }
-        self.solve(&five, &brightest, &is_plain, limits, look);
+        self.solve(&five, &brightest, &is_plain, *limits, look);
     }
 
     /// Row, strength and boxes; the five levels about the brightest pixel of the ridge's row and its two neighbours, and
     /// whether that is 0, 1 or 2 rows down from the first of them. Loops without branches: compilers make vectors of them.
     #[inline(always)]
-    fn place(&mut self, window: &Window, first: &Lanes<u16>, row_max: u16) -> ([Lanes<u8>; gauss::SIZE], Lanes<u8>) {
-        let Window { rows, above, below } = window;
+    fn place(&mut self, window: &Window, groups: &Lanes<u16>, gap: usize) -> ([Lanes<u8>; gauss::SIZE], Lanes<u8>) {
+        let all = &window.rows[..(2 * gap + 1) * GROUP];
+        let (above, below) = (&all[..GROUP], &all[2 * gap * GROUP..][..GROUP]);
+        let rows = &all[gap * GROUP - MARGIN..][..SIZE];
         let mut in_window = [0u16; LANES];
         for i in 0..LANES {
             let at = |k: usize| u16::from(rows[k][i]);
@@ -114,13 +111,14 @@ impl Tops {
             // Of equals, the upper one.
             let top = sums[0].max(sums[1]).max(sums[2].max(sums[3]));
             let steps = u16::from(sums[0] < top) * (1 + u16::from(sums[1] < top) * (1 + u16::from(sums[2] < top)));
-            let sum = |side: &[Lanes<u8>; GROUP]| {
+            let sum = |side: &[Lanes<u8>]| {
                 u16::from(side[0][i]) + u16::from(side[1][i]) + u16::from(side[2][i]) + u16::from(side[3][i])
             };
             let (upper, lower) = (sum(above), sum(below));
             in_window[i] = steps;
-            self.row[i] = (first[i] + steps).min(row_max);
-            self.strength[i] = top as i16 - upper.max(lower) as i16;
+            self.row[i] = groups[i].wrapping_mul(GROUP as u16) + steps;
+            // What is no ridge has no strength.
+            self.strength[i] = if groups[i] == NOTHING { i16::MIN } else { top as i16 - upper.max(lower) as i16 };
             self.boxes[i] = upper + lower;
         }
         let mut five = [[0u8; LANES]; gauss::SIZE];
@@ -170,7 +168,12 @@ impl Tops {
                 level[i] = f32::from(five[i]) - background[i];
             }
         }
-        let (offset, variance) = offsets(&level, &background, *look);
+        let (mut is_there, mut is_strong) = ([0u8; LANES], [0u8; LANES]);
+        for i in 0..LANES {
+            is_there[i] = u8::from(self.strength[i] >= limits.weak);
+            is_strong[i] = u8::from(self.strength[i] >= limits.strong);
+        }
+        let (offset, variance) = offsets(&level, &background, &is_there, *look);
         let (mut v, mut sigma, mut is_good) = ([0.0; LANES], [0.0; LANES], [0u8; LANES]);
         for i in 0..LANES {
             v[i] = f32::from(self.row[i]) + (f32::from(brightest[i]) - 1.0) + offset[i];
@@ -179,11 +182,6 @@ impl Tops {
         for i in 0..LANES {
             let is_peak = (level[gauss::REACH][i] > 0.0) & (sigma[i] < f32::INFINITY);
             is_good[i] = u8::from((offset[i].abs() <= OFFSET_MAX) & is_peak) & is_plain[i];
-        }
-        let (mut is_there, mut is_strong) = ([0u8; LANES], [0u8; LANES]);
-        for i in 0..LANES {
-            is_there[i] = u8::from(self.strength[i] >= limits.weak);
-            is_strong[i] = u8::from(self.strength[i] >= limits.strong);
         }
         for i in 0..LANES {
             self.is_special[i] = is_there[i] & (is_good[i] ^ 1);
@@ -197,14 +195,19 @@ impl Tops {
 
 /// Offset of each peak from the middle of its five levels [px], and its variance [px²].
 #[inline(always)]
-fn offsets(level: &[Lanes<f32>; gauss::SIZE], background: &Lanes<f32>, look: Look) -> (Lanes<f32>, Lanes<f32>) {
+fn offsets(
+    level: &[Lanes<f32>; gauss::SIZE],
+    background: &Lanes<f32>,
+    is_there: &Lanes<u8>,
+    look: Look,
+) -> (Lanes<f32>, Lanes<f32>) {
     let (mut offset, mut variance) = ([0.0; LANES], [0.0; LANES]);
     let mut is_dim = [0u8; LANES];
     for i in 0..LANES {
         let five = [level[0][i], level[1][i], level[2][i], level[3][i], level[4][i]];
         let noise = Noise { dark: look.sensor.dark(background[i]), shot: look.sensor.shot };
         (offset[i], variance[i]) = gauss5(five, noise);
-        is_dim[i] = u8::from(gauss::is_dim(five, look.seen));
+        is_dim[i] = u8::from(gauss::is_dim(five, look.seen)) & is_there[i];
     }
     if is_dim != [0; LANES] {
         for i in 0..LANES {
@@ -218,79 +221,121 @@ fn offsets(level: &[Lanes<f32>; gauss::SIZE], background: &Lanes<f32>, look: Loo
     (offset, variance)
 }
 
+/// Rows from the upper background box to the lower one, another group's in each of 32 columns.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Window {
+    rows: Vec<Lanes<u8>>,
+    /// The rows of several groups, and those moved by a step.
+    seen: Vec<Lanes<u8>>,
+    moved: Vec<Lanes<u8>>,
+}
+
 impl Window {
-    /// Reads it row by row, as rows are what lies together in memory.
+    /// Reads it. Rows are what lies together in memory, and neighbours mostly have groups near each other: from the
+    /// uppermost group on, all rows are read that any column needs, and then each column is moved up to its own, by powers
+    /// of two.
     #[inline(always)]
-    fn read(image: &Image, u: usize, groups: &Lanes<u16>, grid: &Grid) -> Self {
-        let mut window = Self { rows: [[0; LANES]; SIZE], above: [[0; LANES]; GROUP], below: [[0; LANES]; GROUP] };
-        let mut done = [0u8; LANES];
-        // One group after the other, each for all the columns that have it: neighbours mostly have the same.
-        for lane in 0..LANES {
-            let group = groups[lane];
-            if done[lane] != 0 || group == NOTHING {
-                continue;
-            }
-            let mut mask = [0u8; LANES];
-            for i in 0..LANES {
-                mask[i] = 0u8.wrapping_sub(u8::from(groups[i] == group));
-                done[i] |= mask[i];
-            }
-            let columns = Columns { levels: image.levels(), grid, u, mask };
-            let [above, below] = grid.boxes(usize::from(group));
-            columns.read(usize::from(group) * GROUP, MARGIN, &mut window.rows);
-            columns.read(above, 0, &mut window.above);
-            columns.read(below, 0, &mut window.below);
+    fn read(&mut self, image: &Image, u: usize, groups: &Lanes<u16>, grid: &Grid) {
+        let size = (2 * grid.gap + 1) * GROUP;
+        let Self { rows, seen, moved } = self;
+        for rows in [&mut *rows, &mut *seen, &mut *moved] {
+            rows.resize(size + (SPAN - 1) * GROUP, [0; LANES]);
         }
-        window
+        let (mut left, mut is_first) = (*groups, true);
+        loop {
+            let mut first = NOTHING;
+            for i in 0..LANES {
+                first = first.min(left[i]);
+            }
+            if first == NOTHING {
+                return;
+            }
+            let (mut steps, mut mask, mut more) = ([0u8; LANES], [0u8; LANES], [0u8; LANES]);
+            for i in 0..LANES {
+                let is_near = left[i] - first < SPAN as u16;
+                mask[i] = 0u8.wrapping_sub(u8::from(is_near));
+                steps[i] = (left[i] - first) as u8 & mask[i];
+                left[i] = if is_near { NOTHING } else { left[i] };
+                more[i] = 0u8.wrapping_sub(u8::from(left[i] != NOTHING));
+            }
+            let mut deepest = 0;
+            for bit in [8, 4, 2, 1] {
+                let mut has = [0u8; LANES];
+                for i in 0..LANES {
+                    has[i] = 0u8.wrapping_sub(u8::from(steps[i] >= deepest + bit));
+                }
+                deepest += if bits(&has) != 0 { bit } else { 0 };
+            }
+            let from = (usize::from(first) - grid.gap) * GROUP * grid.width + u;
+            fill(&mut seen[..size + usize::from(deepest) * GROUP], &image.levels()[from..], grid.width);
+            for bit in [8, 4, 2, 1] {
+                if deepest >= bit {
+                    let mut moves = [0u8; LANES];
+                    for i in 0..LANES {
+                        moves[i] = 0u8.wrapping_sub(u8::from(steps[i] & bit != 0));
+                    }
+                    let by = usize::from(bit) * GROUP;
+                    let needed = size + by - GROUP;
+                    let pairs = seen[..needed].iter().zip(&seen[by..by + needed]);
+                    for (new, (here, below)) in moved[..needed].iter_mut().zip(pairs) {
+                        for i in 0..LANES {
+                            new[i] = (here[i] & !moves[i]) | (below[i] & moves[i]);
+                        }
+                    }
+                    std::mem::swap(seen, moved);
+                }
+            }
+            if is_first && bits(&more) == 0 {
+                std::mem::swap(rows, seen);
+                return;
+            }
+            is_first = false;
+            for (row, seen) in rows[..size].iter_mut().zip(&seen[..size]) {
+                for i in 0..LANES {
+                    row[i] = (row[i] & !mask[i]) | (seen[i] & mask[i]);
+                }
+            }
+        }
     }
 }
 
-/// Some of the columns from `u` on.
-struct Columns<'a> {
-    levels: &'a [u8],
-    grid: &'a Grid,
-    u: usize,
-    /// All ones in the lanes that are meant.
-    mask: Lanes<u8>,
-}
-
-impl Columns<'_> {
-    /// Adds the rows from `margin` above `v` on to what is 0 so far; beyond the image, its edge goes on.
-    #[inline(always)]
-    fn read<const N: usize>(&self, v: usize, margin: usize, rows: &mut [Lanes<u8>; N]) {
-        let Self { levels, grid, u, mask } = self;
-        let is_inside = v >= margin && v - margin + N <= grid.height;
-        let levels = &levels[if is_inside { (v - margin) * grid.width + u } else { 0 }..];
-        for (k, kept) in rows.iter_mut().enumerate() {
-            let from = if is_inside {
-                k * grid.width
-            } else {
-                (v + k).saturating_sub(margin).min(grid.height - 1) * grid.width + u
-            };
-            let row = lanes_at(levels, from);
-            for i in 0..LANES {
-                kept[i] |= row[i] & mask[i];
-            }
+/// Reads rows of an image from the first of its levels on.
+#[inline(always)]
+fn fill(rows: &mut [Lanes<u8>], levels: &[u8], width: usize) {
+    if (rows.len() - 1) * width + LANES <= levels.len() {
+        for (k, row) in rows.iter_mut().enumerate() {
+            row.copy_from_slice(&levels[k * width..][..LANES]);
+        }
+    } else {
+        for (k, row) in rows.iter_mut().enumerate() {
+            *row = lanes_at(levels, k * width);
         }
     }
 }
 
-/// Looks at the strongest ridges of an image.
-pub(super) struct LookAll<'a> {
+/// What is looked at, and for what.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'a> {
     pub image: &'a Image,
     pub grid: Grid,
     pub look: Look,
     pub limits: Limits,
+}
+
+/// Looks at the strongest ridges of an image.
+pub(super) struct LookAll<'a> {
+    pub scene: Scene<'a>,
     /// The group of each column's.
     pub groups: &'a [Lanes<u16>],
     pub tops: &'a mut [Tops],
+    pub window: &'a mut Window,
 }
 
 impl Work for LookAll<'_> {
     #[inline(always)]
     fn run(self) {
         for (chunk, (tops, groups)) in self.tops.iter_mut().zip(self.groups).enumerate() {
-            tops.look(self.image, chunk * LANES, groups, &self.grid, self.limits, &self.look);
+            tops.look(&self.scene, chunk * LANES, groups, self.window);
         }
     }
 }
