@@ -1,10 +1,23 @@
 //! `metromap calibrate finder`: a file of slits in, a rig that maps out; and what bad input is answered with.
 
+use std::collections::BTreeMap;
+use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use serde_json::Value;
+use metromap::calibration::finder::{
+    Assumptions, CameraPrior, Held, Knowledge, Observations, Slit, SlitPeak, Surface, Wall, calibrate, normal, shifted,
+};
+use metromap::geometry::{Robot, Transform, World};
+use metromap::line::{Extractor, LineParams};
+use metromap::optics::{Camera, Laser, Rig};
+use metromap::scanner::{ImageParams, Renderer};
+use metromap::world::{Body, Material, Motion, Scene, Shape, Surfaces};
+use nalgebra::{Isometry3, Point3, Vector3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 fn metromap(args: &[&str], paths: &[&Path]) -> Output {
@@ -120,6 +133,190 @@ fn slits_of_a_recording_are_calibrated_on() {
     let output = metromap(&["calibrate", "finder"], &[&file]);
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.code() == Some(1) && told.contains("slit 2: capture: found 9999"), "{told}");
+}
+
+/// Points of a block with depth, as a camera like METRO-I's sees them 0.4 m away, to 0.1 px: `x y z u v`, millimetres.
+fn seen_block() -> String {
+    let camera = Camera::metro_i();
+    let pose = Isometry3::new(Vector3::new(0.004, -0.006, 0.4), Vector3::new(std::f64::consts::PI - 0.2, 0.15, 0.02));
+    let mut draw = ChaCha8Rng::seed_from_u64(11);
+    let mut text = String::new();
+    for plane in [0.0, -0.045] {
+        for i in 0..30 {
+            let dot = Point3::new(f64::from(i % 6) * 0.030 - 0.075, f64::from(i / 6) * 0.022 - 0.044, plane);
+            let [u, v] = camera.project(&(pose * dot).coords).unwrap().map(|at| at + 0.1 * normal(&mut draw));
+            writeln!(text, "{} {} {} {u} {v}", dot.x * 1e3, dot.y * 1e3, dot.z * 1e3).unwrap();
+        }
+    }
+    text
+}
+
+#[test]
+fn a_camera_calibrated_by_itself_goes_into_the_finder_with_its_correlations() {
+    let dir = TempDir::new().unwrap();
+    let slits = example(&dir);
+    let points = dir.path().join("block.txt");
+    fs::write(&points, seen_block()).unwrap();
+    let pitch = format!("{}x{}", 6.4 / 512.0, 4.8 / 485.0);
+    let block = ["calibrate", "camera", "--size", "512x480", "--centre", "256,239", "--pixel-sigma", "0.1", "--json"];
+    let args: Vec<&str> = block.into_iter().chain(["--pitch-mm", &pitch, "--out"]).collect();
+    let output = metromap(&args, &[&dir.path().join("camera"), &points]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let file = dir.path().join("example/camera.json");
+    fs::write(&file, &output.stdout).unwrap();
+
+    let text = fs::read_to_string(&slits).unwrap();
+    let from = text.find("[camera]").unwrap();
+    let to = from + text[from..].find("\n\n").unwrap();
+    // A key of the file itself stands before its tables.
+    let with_file =
+        text.replace(&text[from..to], "").replacen("version = 1", "version = 1\ncamera = \"camera.json\"", 1);
+    fs::write(&slits, &with_file).unwrap();
+    let sigma = |json: &Value, name: &str| json["parameters"][name]["sigma"].as_f64().unwrap();
+    let with = calibrated(&slits, &dir.path().join("with"));
+    assert_eq!(with["held"]["f_mm"], "prior");
+    for (name, truth) in [("f_mm", 11.434), ("k_per_mm2", 0.00335), ("tilt_rad", 0.484 + 0.007)] {
+        let off = with["parameters"][name]["value"].as_f64().unwrap() - truth;
+        assert!(off.abs() < 4.0 * sigma(&with, name), "{name}: {off} ± {}", sigma(&with, name));
+    }
+
+    // The same without the correlations is another calibration: they are not dropped on the way.
+    let names = ["f_mm", "scale_u", "k_per_mm2", "cu_px", "cv_px"];
+    let place = |name: &str| report["covariance"]["names"].as_array().unwrap().iter().position(|n| n == name).unwrap();
+    let entry = |a: &str, b: &str| report["covariance"]["rows"][place(a)][place(b)].as_f64().unwrap();
+    let strongest = names
+        .iter()
+        .flat_map(|a| names.iter().filter(move |b| a != *b).map(move |b| (a, b)))
+        .map(|(a, b)| (entry(a, b) / (entry(a, a) * entry(b, b)).sqrt()).abs())
+        .fold(0.0, f64::max);
+    assert!(strongest > 0.5, "{strongest}");
+    let mut alone = report.clone();
+    for row in alone["covariance"]["rows"].as_array_mut().unwrap().iter_mut().enumerate() {
+        let (i, row) = row;
+        row.as_array_mut().unwrap().iter_mut().enumerate().filter(|(j, _)| *j != i).for_each(|(_, x)| *x = json!(0.0));
+    }
+    fs::write(&file, alone.to_string()).unwrap();
+    let without = calibrated(&slits, &dir.path().join("without"));
+    let changed = |name: &str| sigma(&without, name) / sigma(&with, name) - 1.0;
+    eprintln!(
+        "strongest correlation {strongest:.3}; σ without: f {:+.3}, k {:+.3}",
+        changed("f_mm"),
+        changed("k_per_mm2")
+    );
+    assert!(names.iter().any(|name| changed(name).abs() > 0.02));
+
+    let refused = |report: Value, words: &str| {
+        fs::write(&file, report.to_string()).unwrap();
+        let output = metromap(&["calibrate", "finder"], &[&slits]);
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(1) && told.contains("camera.json") && told.contains(words), "{told}");
+    };
+    let changed = |pointer: &str, value: Value| {
+        let mut report = report.clone();
+        *report.pointer_mut(pointer).unwrap() = value;
+        report
+    };
+    refused(changed("/covariance", Value::Null), "calibrate camera --json");
+    refused(changed("/covariance/rows/3", json!([1.0])), "rows for 8 names");
+    refused(changed("/covariance/names/3", json!("focal")), "no f_mm");
+    refused(changed("/covariance/rows/3/4", json!(9.0)), "covariance");
+    refused(json!([]), "calibrate camera --json");
+}
+
+#[test]
+fn a_camera_s_number_is_not_taken_from_two_places() {
+    let dir = TempDir::new().unwrap();
+    let slits = example(&dir);
+    let text = fs::read_to_string(&slits).unwrap();
+    fs::write(&slits, text.replacen("known = {", "known = { f_mm = 0.0001,", 1)).unwrap();
+    let output = metromap(&["calibrate", "finder"], &[&slits]);
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(1) && told.contains("known.f_mm: found 0.0001"), "{told}");
+}
+
+fn thing(shape: Shape, at: [f64; 3]) -> Body {
+    let pose = Isometry3::translation(at[0], at[1], at[2]);
+    Body { name: "thing".into(), shape, pose, material: Material::default(), motion: Motion::Static, ground: false }
+}
+
+#[test]
+fn a_finder_that_was_built_askew_is_found_from_its_images() {
+    // The renderer knows the finder as a rig and the world as bodies, and nothing of the bundle: a sign or a frame that is
+    // wrong in the bundle's model shows here.
+    let nominal = Rig::metro_i();
+    let moved = [
+        ("roll_rad", 0.012),
+        ("pan_rad", -0.015),
+        ("slit_roll_rad", 0.009),
+        ("x0_m", 0.015),
+        ("tilt_rad", 0.008),
+        ("camera_height_m", -0.012),
+        ("mirror_height_m", 0.010),
+        ("beam_zero_rad", -0.005),
+    ];
+    let truth = shifted(&nominal, &moved.map(|(name, by)| (name.to_string(), by)).into()).unwrap();
+    let Laser::Mirror(mirror) = truth.laser else { panic!("a mirror") };
+    let image = ImageParams::default();
+    let sigma_min_px = image.speckle_sigma_px(&truth) as f32;
+    let mut extractor = Extractor::new(LineParams { sigma_min_px, ..LineParams::default() }).unwrap();
+    let (tape_at, walls_at) = (0.9, [1.7, 2.3]);
+    let mut slits = Vec::new();
+    for (place, wall_at) in [None, Some(walls_at[0]), Some(walls_at[1])].into_iter().enumerate() {
+        let floor = Body { ground: true, ..thing(Shape::Plane, [0.0; 3]) };
+        let wall = wall_at.map(|x| thing(Shape::Box { size: Vector3::new(0.1, 4.0, 2.0) }, [x + 0.05, 0.0, 1.0]));
+        let scene =
+            Scene { bodies: [floor].into_iter().chain(wall).collect(), ambient_w_per_m2: 0.06, ..Scene::default() };
+        let (surfaces, renderer) = (Surfaces::new(&scene).unwrap(), Renderer::new(&truth, image, &scene).unwrap());
+        let aims: Vec<f64> = match wall_at {
+            None => [1.45, 1.6, 1.8, 2.0, 2.3, 2.6, 2.9].map(|x| (mirror.mirror_m[2] / x).atan()).into(),
+            Some(x) => [0.08, 0.2, 0.32].map(|z| ((mirror.mirror_m[2] - z) / x).atan()).into(),
+        };
+        for (i, aim) in aims.into_iter().enumerate() {
+            let pulse = ((aim - mirror.beam.zero_rad) / mirror.beam.rad_per_pulse).round();
+            let beam = mirror.beam.zero_rad + pulse * mirror.beam.rad_per_pulse;
+            let here = Transform::<World, Robot>::identity();
+            let frame = (10 * place + i) as u64;
+            let seen = renderer.expose(&surfaces, &here, 0.0, beam, 5, frame).unwrap();
+            let line = extractor.extract(&seen.image);
+            let all: Vec<SlitPeak> = (line.columns.iter().enumerate())
+                .filter_map(|(u, p)| p.map(|p| SlitPeak { u: u as f64, v: p.v.into(), sigma: p.sigma.into() }))
+                .collect();
+            assert!(all.len() > 450, "{place} {i}: {} columns", all.len());
+            // Where the beam's middle, which stays in the upright plane of the tape, falls.
+            let reach = mirror.mirror_m[2] / beam.tan();
+            slits.push(Slit {
+                name: format!("{place}.{i}"),
+                mirror_pulse: pulse,
+                cylinder_pulse: 0.0,
+                on: if place == 0 { Surface::Floor } else { Surface::Wall(place - 1) },
+                mark_m: wall_at.is_none().then_some(reach - tape_at),
+                height_m: wall_at.map(|x| mirror.mirror_m[2] - x * beam.tan()),
+                end: None,
+                peaks: all.into_iter().skip(12).step_by(25).collect(),
+            });
+        }
+    }
+    let walls = walls_at.map(|x| Wall { mark_m: Some(x - tape_at), square_sigma_rad: 0.005 }).into();
+    let seen = Observations { slits, walls, pulse_sigma: 0.02, mark_sigma_m: 3e-4 };
+    let mut assumptions = Assumptions::free();
+    assumptions.camera =
+        Some(CameraPrior::with_sigmas([11.434, 1.095, 0.00335, 256.0, 239.0], [2e-3, 1e-4, 1e-5, 0.3, 0.3]));
+    for name in ["beam_rad_per_pulse", "mirror_x_m", "camera_y_m", "axis_pitch_rad", "axis_roll_rad"] {
+        assumptions = assumptions.with(name, Knowledge::Known);
+    }
+    let fit = calibrate(&nominal, &seen, &assumptions).unwrap();
+    assert!(fit.report.rejected.is_empty(), "{:?}", fit.report.rejected);
+    let drawn: BTreeMap<&str, f64> =
+        fit.names.iter().map(String::as_str).zip(fit.numbers_of(&nominal).unwrap()).collect();
+    for (name, by) in moved {
+        let found = fit.get(name).unwrap();
+        let off = found.value - drawn[name] - by;
+        eprintln!("{name:16} moved by {by:+.4}, found to {off:+.5} ± {:.5}", found.sigma);
+        assert!(off.abs() < 4.0 * found.sigma, "{name}: off by {off} ± {}", found.sigma);
+        // A wrong sign would be off by twice what it was moved by.
+        assert!(10.0 * found.sigma < by.abs() && fit.held[name] == Held::Data, "{name}: ± {}", found.sigma);
+    }
 }
 
 #[test]

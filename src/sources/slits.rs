@@ -352,36 +352,69 @@ fn spread(line: &Line, count: usize) -> Option<Vec<SlitPeak>> {
 }
 
 fn prior(pairs: [[f64; 2]; 5]) -> Result<CameraPrior> {
-    for ([value, sigma], name) in pairs.iter().zip(CAMERA) {
-        if !value.is_finite() {
-            return Err(Fault::new(format!("camera.{name}"), value, "a finite number"));
-        }
+    for ([_, sigma], name) in pairs.iter().zip(CAMERA) {
         positive(&format!("camera.{name}: σ"), *sigma)?;
     }
-    Ok(CameraPrior::with_sigmas(pairs.map(|[value, _]| value), pairs.map(|[_, sigma]| sigma)))
+    CameraPrior::with_sigmas(pairs.map(|[value, _]| value), pairs.map(|[_, sigma]| sigma)).validated()
 }
 
 /// The camera's parameters in the order of [`CameraPrior`], as `calibrate camera` names them too.
 const CAMERA: [&str; 5] = ["f_mm", "scale_u", "k_per_mm2", "cu_px", "cv_px"];
 
-/// The camera of `calibrate camera --json`; what was held there is as good as known here.
+/// The parts of `calibrate camera --json` that a finder's calibration needs.
+#[derive(Deserialize)]
+struct CameraReport {
+    parameters: BTreeMap<String, CameraValue>,
+    covariance: CameraCovariance,
+}
+
+#[derive(Deserialize)]
+struct CameraValue {
+    value: f64,
+}
+
+#[derive(Deserialize)]
+struct CameraCovariance {
+    names: Vec<String>,
+    rows: Vec<Vec<f64>>,
+}
+
+impl CameraReport {
+    /// What it says of the camera, with the correlations: focal length, k and scale of one view are anything but
+    /// independent. What was held there is as good as known here: to a billionth of itself.
+    fn prior(&self) -> Result<CameraPrior> {
+        let (names, rows) = (&self.covariance.names, &self.covariance.rows);
+        if rows.len() != names.len() || rows.iter().any(|row| row.len() != names.len()) {
+            let found = format!("{} rows for {} names", rows.len(), names.len());
+            return Err(Fault::new("covariance", found, "a row and a column for each of `names`"));
+        }
+        let (mut values, mut places) = ([0.0; 5], [0; 5]);
+        for (i, name) in CAMERA.iter().enumerate() {
+            let found = self.parameters.get(*name).zip(names.iter().position(|known| known == name));
+            let Some((estimate, place)) = found else {
+                let expected = format!("a camera with Tsai's model: {}", CAMERA.join(", "));
+                return Err(Fault::new("parameters", format!("no {name}"), expected));
+            };
+            (values[i], places[i]) = (estimate.value, place);
+        }
+        let entry = |i: usize, j: usize| {
+            let is_held = i == j && rows[places[i]][places[j]] == 0.0;
+            if is_held { (1e-9 * values[i].abs().max(1e-6)).powi(2) } else { rows[places[i]][places[j]] }
+        };
+        let covariance = [0, 1, 2, 3, 4].map(|i| [0, 1, 2, 3, 4].map(|j| entry(i, j)));
+        CameraPrior { values, covariance }.validated()
+    }
+}
+
+/// The camera of `calibrate camera --json`.
 fn prior_of_report(path: &Path) -> Result<CameraPrior> {
     let text = read_text(path, FILE_BYTES_MAX)?;
     let wrong = |error: serde_json::Error| {
-        Fault::new("camera", &error, "the JSON of `calibrate camera --json`").in_file(path).at_line(error.line())
+        let fault = Fault::new("camera", &error, "the JSON of `calibrate camera --json`, Tsai's model").in_file(path);
+        fault.at_line(error.line())
     };
-    let report: serde_json::Value = serde_json::from_str(&text).map_err(wrong)?;
-    let mut pairs = [[0.0; 2]; 5];
-    for (pair, name) in pairs.iter_mut().zip(CAMERA) {
-        let estimate = &report["parameters"][name];
-        let number = |key: &str| estimate[key].as_f64();
-        let (Some(value), Some(sigma)) = (number("value"), number("sigma")) else {
-            let expected = format!("{{\"value\", \"sigma\"}}: a camera with Tsai's model, with {}", CAMERA.join(", "));
-            return Err(Fault::new(format!("parameters.{name}"), estimate, expected).in_file(path));
-        };
-        *pair = [value, if sigma == 0.0 { 1e-9 * value.abs().max(1e-6) } else { sigma }];
-    }
-    prior(pairs).map_err(|fault| fault.in_file(path))
+    let report: CameraReport = serde_json::from_str(&text).map_err(wrong)?;
+    report.prior().map_err(|fault| fault.in_file(path))
 }
 
 /// Slits of a table: a line a row, or a slit without one.
