@@ -541,12 +541,16 @@ mod tests {
             coverage.count(&fit, &truth, procedure.tape_start_m, &[Held::Data, Held::Prior]);
         }
         coverage.tell();
-        // Every parameter by itself: of 200 repeats 92 to 98 %.
-        let held = coverage.0.iter().filter(|(_, (_, of, ..))| *of == repeats).count();
-        assert!(held >= 17, "{held}");
-        for (name, (inside, of, ..)) in &coverage.0 {
-            assert!(*of < repeats || (184..=196).contains(inside), "{name}: {inside} of {of}");
+        let held: Vec<_> = coverage.0.iter().filter(|(_, (_, of, ..))| *of == repeats).collect();
+        assert!(held.len() >= 17, "{}", held.len());
+        // Of 200 repeats at 95 %, chance takes a parameter out of 92 to 98 % once in 20, one of 17 every other time; out of
+        // 91 to 99 % once in 200. All of them together stay within 93 to 97 %.
+        for (name, (inside, of, ..)) in &held {
+            assert!((182..=198).contains(inside), "{name}: {inside} of {of}");
         }
+        let inside: u32 = held.iter().map(|(_, (inside, ..))| inside).sum();
+        let share = f64::from(inside) / f64::from(repeats * held.len() as u32);
+        assert!((0.93..=0.97).contains(&share), "{share}");
     }
 
     #[test]
