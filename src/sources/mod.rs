@@ -9,6 +9,7 @@ pub mod replay;
 pub mod rig_file;
 mod scenario;
 mod simulation;
+mod slit_table;
 pub mod slits;
 mod truth;
 
