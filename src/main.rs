@@ -10,6 +10,7 @@ fn main() -> ExitCode {
     match run(Cli::parse()) {
         Ok(Exit::Done) => ExitCode::SUCCESS,
         Ok(Exit::Lossy) => ExitCode::from(3),
+        Ok(Exit::NotAccepted) => ExitCode::from(4),
         Err(fault) => {
             // That nobody reads it any more is no further error.
             let _ = writeln!(std::io::stderr(), "metromap: {fault}");

@@ -10,8 +10,8 @@ use super::solve::{Noise, Options, Parameter, Solution, minimise};
 use super::tsai::{self, ChipMark, Guess, Shape};
 use crate::fault::{Fault, Result};
 use crate::geometry::{Camera as CameraFrame, Transform};
-use crate::optics::{Camera, Distortion};
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use crate::optics::{Camera, Distortion, RigCovariance};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 /// Places of the parameters in [`BlockFit::solution`].
 pub mod place {
@@ -81,6 +81,21 @@ impl BlockFit {
         let turn = self.solution.covariance.fixed_view::<3, 3>(place::TURN, place::TURN);
         let covariance = slopes * turn * slopes.transpose();
         [0, 1, 2].map(|i| (here[i], covariance[(i, i)].max(0.0).sqrt()))
+    }
+
+    /// The camera's part of a rig's covariance, which is in pixels.
+    pub fn rig_covariance(&self, sensor: &Sensor) -> RigCovariance {
+        let [f, k, scale] = [place::F, place::K, place::SCALE_U].map(|i| self.solution.values[i]);
+        let mut slopes = DMatrix::zeros(5, self.solution.values.len());
+        slopes[(0, place::SCALE_U)] = f / sensor.column_pitch_mm; // fx = Su·lf/d'u (25)
+        slopes[(0, place::F)] = scale / sensor.column_pitch_mm;
+        slopes[(1, place::F)] = 1.0 / sensor.row_pitch_mm; // fy = lf/dv (26)
+        slopes[(2, place::F)] = 2.0 * k * f; // k·lf², on coordinates over the focal length
+        slopes[(2, place::K)] = f * f;
+        slopes[(3, place::CENTRE)] = 1.0;
+        slopes[(4, place::CENTRE + 1)] = 1.0;
+        let spread = &slopes * &self.solution.covariance * slopes.transpose();
+        RigCovariance::of(&["fx_px", "fy_px", "k", "cu_px", "cv_px"], &spread)
     }
 
     /// For people and programs.

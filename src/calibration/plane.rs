@@ -6,10 +6,12 @@
 //! 3. `bundle`: everything at once on reprojection: plane, camera, boards, hand-eye and the arm's own errors, with covariance.
 
 mod bundle;
+mod carried;
 mod holdout;
 mod page;
+mod start;
 
-use nalgebra::{Isometry3, Matrix3, Vector3};
+use nalgebra::{Isometry3, Matrix3xX, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use super::hand_eye::HandEye;
@@ -23,11 +25,11 @@ use super::pose::board_pose;
 use super::report::{Estimate, Rejected, Report, Residual};
 use super::solve::Solution;
 use super::stripe::Stripe;
-use super::tsai::Shape;
 use crate::fault::{Fault, Result, number_within};
-use crate::geometry::{Camera as CameraFrame, Plane, Point, fit_plane};
+use crate::geometry::{Camera as CameraFrame, Plane, Point};
 use crate::optics::{Camera, PlaneLaser, RigCovariance};
-use bundle::{Bundle, Member, place};
+use bundle::{Bundle, Member, crossing, from_crossing, place};
+use start::{first_of_all, first_plane};
 
 /// How a laser plane is calibrated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -229,6 +231,8 @@ pub struct PlaneFit {
     pub hand_eye: Option<HandEye>,
     /// Standard deviations of the arm: positions [m] and turns [rad] along and about each axis.
     pub arm_sigma: Option<[f64; 2]>,
+    /// Standard deviation of what stripes are off by as a whole [px].
+    pub whole_sigma_px: f64,
     /// The frames used, in the order given.
     pub frames: Vec<FrameFit>,
     /// All parameters of the bundle.
@@ -237,6 +241,9 @@ pub struct PlaneFit {
     pub svd_off_rad: f64,
     /// What was left out.
     pub rejected: Vec<Rejected>,
+    /// d m/d camera where the camera was held.
+    camera_slopes: Option<Matrix3xX<f64>>,
+    carried: RigCovariance,
 }
 
 impl PlaneFit {
@@ -246,13 +253,9 @@ impl PlaneFit {
         PlaneLaser { normal: [n.x, n.y, n.z], offset_m: self.plane.offset, origin_m: None }
     }
 
-    /// What the rig carries of it into every point: the plane's part. The camera's own is that of its calibration.
+    /// What the rig carries of it into every point: plane and camera as one, and what [`Self::carrying`] was given of the rest.
     pub fn rig_covariance(&self) -> RigCovariance {
-        let entry = |i: usize, j: usize| (self.covariance[(i, j)] + self.covariance[(j, i)]) / 2.0;
-        RigCovariance {
-            parameters: ["normal_x", "normal_y", "normal_z", "offset_m"].map(String::from).to_vec(),
-            matrix: (0..4).map(|i| (0..4).map(|j| entry(i, j)).collect()).collect(),
-        }
+        self.carried.clone()
     }
 
     /// Distances of all stripe points from the plane [mm].
@@ -301,10 +304,14 @@ impl PlaneFit {
             parameters.push(Estimate::new("arm_position_m", shift, 0.0, "m"));
             parameters.push(Estimate::new("arm_turn_rad", turn, 0.0, "rad"));
         }
+        parameters.push(Estimate::new("stripe_off_px", self.whole_sigma_px, 0.0, "px"));
         let used = self.frames.iter().map(|f| f.points.len()).sum();
         Report { parameters, residual: self.residual(), used, rejected: self.rejected.clone() }
     }
 }
+
+/// Rounds of choosing the stripes that fit.
+const ROUNDS_MAX: usize = 8;
 
 /// Calibrates the plane on the stripes of `frames`.
 ///
@@ -328,77 +335,93 @@ pub fn calibrate(camera: &Camera, frames: &[Frame], params: &PlaneParams) -> Res
             members.push(Member::new(frame, board, known.hand_eye.is_some()));
         }
     }
-    let mut left_out = 0;
-    loop {
-        let start = first_plane(&camera, &members)?;
-        let fit = Bundle::new(camera, members.clone(), known.hand_eye, params).solved(&start)?;
-        let off = far_off(&fit.frames, params.outlier_sigmas);
-        if off.is_empty() {
-            let turn = fit.plane.normal.dot(&start.normal).abs().min(1.0).acos();
-            return Ok(PlaneFit { svd_off_rad: turn, rejected, ..fit });
+    let seek = Seek { camera, members, hand_eye: known.hand_eye, params };
+    let robust = first_plane(&camera, &seek.members, params.outlier_sigmas).and_then(|start| seek.settled(start));
+    // All stripes together hold the plane best, where none of them is stray: a few on boards that stand alike do not foretell
+    // the others well. A stray one would show in that the robust half fits much better without it.
+    let together = first_of_all(&camera, &seek.members).and_then(|start| seek.settled(start));
+    let settled = match (robust, together) {
+        (Ok(robust), Ok(all)) if all.left_out.is_empty() && all.middle_px < 2.0 * robust.middle_px => all,
+        (Ok(robust), _) => robust,
+        (Err(fault), _) => return Err(fault),
+    };
+    rejected.extend(settled.left_out);
+    Ok(PlaneFit { rejected, ..settled.fit })
+}
+
+/// The search for the stripes that lie on one plane.
+struct Seek {
+    camera: Camera,
+    members: Vec<Member>,
+    hand_eye: Option<HandEye>,
+    params: PlaneParams,
+}
+
+/// A plane, and what it was found without.
+struct Settled {
+    fit: PlaneFit,
+    left_out: Vec<Rejected>,
+    /// How far off the middle one of its stripes is [px].
+    middle_px: f64,
+}
+
+impl Seek {
+    /// Fits the stripes of `used`, and chooses those that fit, in turn until they stay the same.
+    fn settled(&self, (first, mut used): (Plane<CameraFrame>, Vec<usize>)) -> Result<Settled> {
+        let members = &self.members;
+        let mut start = first;
+        for round in 0..ROUNDS_MAX {
+            let kept: Vec<(usize, Member)> = (members.iter().enumerate())
+                .map(|(i, m)| (i, if used.contains(&i) { m.clone() } else { m.without_stripe() }))
+                .filter(|(_, m)| !m.points.is_empty() || !m.marks.is_empty())
+                .collect();
+            let (kept, bundled): (Vec<usize>, Vec<Member>) = kept.into_iter().unzip();
+            let fit = Bundle::new(self.camera, bundled, self.hand_eye, self.params).solved(&start)?;
+            let posed = |i: usize| kept.binary_search(&i).ok().map(|k| fit.frames[k].camera_from_board);
+            let off: Vec<Option<f64>> =
+                members.iter().enumerate().map(|(i, m)| stripe_off_px(&fit, m, posed(i))).collect();
+            let mut sizes: Vec<f64> = used.iter().filter_map(|i| off[*i]).collect();
+            sizes.sort_by(f64::total_cmp);
+            let middle_px = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+            let limit = start::limit_px(middle_px, self.params.outlier_sigmas);
+            // A stripe may come back while the plane is still rough, but not for ever.
+            let may = |i: &usize| round < ROUNDS_MAX / 2 || used.contains(i);
+            let near: Vec<usize> =
+                (0..members.len()).filter(|i| off[*i].is_some_and(|off| off <= limit)).filter(may).collect();
+            let with_stripe = members.iter().filter(|m| !m.points.is_empty()).count();
+            let left_out = with_stripe - near.len();
+            if left_out * 3 > with_stripe || (left_out > 0 && near.len() < 3) {
+                let found = format!("{left_out} of {with_stripe} stripes that do not fit the others");
+                return Err(Fault::new("stripes", found, "one plane of light, on flat boards"));
+            }
+            if near == used {
+                let stray = members.iter().enumerate().filter(|(i, m)| !m.points.is_empty() && !near.contains(i));
+                let left_out = stray.map(|(i, member)| {
+                    let size = off[i].map_or("out of sight".into(), |off| format!("{off:.2} px"));
+                    let why = format!("{size} from where the plane of the others cuts its board");
+                    Rejected { what: format!("{}: stripe", member.name), why }
+                });
+                let turn = fit.plane.normal.dot(&first.normal).abs().min(1.0).acos();
+                let fit = PlaneFit { svd_off_rad: turn, ..fit };
+                return Ok(Settled { left_out: left_out.collect(), fit, middle_px });
+            }
+            start = fit.plane;
+            used = near;
         }
-        left_out += off.len();
-        for (i, why) in off.into_iter().rev() {
-            rejected.push(Rejected { what: format!("{}: stripe", members[i].name), why });
-            members[i].points.clear();
-        }
-        members.retain(|m| !m.points.is_empty() || !m.marks.is_empty());
-        if left_out * 3 > frames.len() {
-            let found = format!("{left_out} of {} stripes that do not fit the others", frames.len());
-            return Err(Fault::new("stripes", found, "one plane of light, on flat boards"));
-        }
+        Err(Fault::new("stripes", "no set of them that fits one plane", "one plane of light, on flat boards"))
     }
 }
 
-/// The plane of least squared distances through the stripes on their boards.
-fn first_plane(camera: &Camera, members: &[Member]) -> Result<Plane<CameraFrame>> {
-    let with_stripe = members.iter().filter(|m| !m.points.is_empty()).count();
-    if with_stripe < 2 {
-        let expected =
-            "on at least 2 boards, better 10 at different distances and tilts: one line does not give a plane";
-        return Err(Fault::new("stripe", format!("on {with_stripe} boards"), expected));
+/// RMS distance of a member's stripe from where the plane found cuts its board in the image [px]; the board as the fit has it
+/// posed, or else through the arm.
+fn stripe_off_px(fit: &PlaneFit, member: &Member, posed: Option<Isometry3<f64>>) -> Option<f64> {
+    if member.points.is_empty() {
+        return None;
     }
-    let mut points: Vec<Point<CameraFrame>> = Vec::new();
-    for member in members {
-        let seen = member.points.iter().filter_map(|[u, v]| met(&member.camera_from_board, &camera.ray(*u, *v)?));
-        points.extend(seen.map(Point::from));
-    }
-    let places: Vec<Vector3<f64>> = points.iter().map(|p| p.xyz).collect();
-    let [length, width, _] = Shape::of(&places).extents_m;
-    let fit = fit_plane(&points).filter(|_| width > 0.02 * length).ok_or_else(|| {
-        let found = format!("on one line in space ({:.2} mm across {:.1} mm)", width * 1e3, length * 1e3);
-        Fault::new("stripes", found, "boards at different distances: move or tilt the board along the line of sight")
-    })?;
-    let plane = if fit.plane.offset < 0.0 { Plane::new(-fit.plane.normal, -fit.plane.offset) } else { Some(fit.plane) };
-    plane.filter(|plane| plane.offset > 1e-3).ok_or_else(|| {
-        let found = format!("a plane {:.3} mm from the camera's centre", fit.plane.offset.abs() * 1e3);
-        Fault::new("stripes", found, "at least 1 mm: nothing can be triangulated otherwise")
-    })
-}
-
-/// Frames whose stripe is much farther off the plane than those of the others, with the reason.
-fn far_off(frames: &[FrameFit], sigmas: f64) -> Vec<(usize, String)> {
-    let mut sizes: Vec<f64> =
-        frames.iter().filter(|f| !f.points.is_empty()).map(|f| rms(f.stripe_px.iter().copied())).collect();
-    sizes.sort_by(f64::total_cmp);
-    let limit = sigmas * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0).max(0.05);
-    let off = frames.iter().enumerate().filter(|(_, f)| rms(f.stripe_px.iter().copied()) > limit);
-    off.map(|(i, f)| {
-        let size = rms(f.stripe_px.iter().copied());
-        (i, format!("{size:.2} px from where the plane of the others cuts its board"))
-    })
-    .collect()
-}
-
-/// The covariance of n = m/|m| and d = 1/|m| from that of m.
-fn spread(m: &Vector3<f64>, covariance: &Matrix3<f64>) -> nalgebra::Matrix4<f64> {
-    let size = m.norm();
-    let n = m / size;
-    let turn = (Matrix3::identity() - n * n.transpose()) / size;
-    let mut slopes = nalgebra::Matrix4x3::zeros();
-    slopes.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
-    slopes.fixed_view_mut::<1, 3>(3, 0).copy_from(&(-n.transpose() / (size * size)));
-    slopes * covariance * slopes.transpose()
+    let arm = || Some(fit.hand_eye.as_ref()?.camera_from_board(&member.arm?));
+    let line = crossing(&posed.or_else(arm)?, &(fit.plane.normal / fit.plane.offset))?;
+    let all: Option<Vec<f64>> = member.points.iter().map(|p| from_crossing(&fit.camera, &line, p)).collect();
+    all.map(|all| rms(all.into_iter()))
 }
 
 #[cfg(test)]
@@ -501,6 +524,29 @@ mod tests {
     }
 
     #[test]
+    fn stripes_that_are_off_as_a_whole_widen_the_error_bars() {
+        const REPEATS: u64 = 40;
+        let (mut inside, mut sigmas) = ([0.0; 4], 0.0);
+        for seed in 0..REPEATS {
+            let mut all = frames(8, 0.1, 300 + seed);
+            let mut rng = ChaCha12Rng::seed_from_u64(700 + seed);
+            for frame in &mut all {
+                let whole = 0.5 * normal(&mut rng);
+                frame.stripe.as_mut().unwrap().points.iter_mut().for_each(|[_, v]| *v += whole);
+            }
+            let fit = calibrate(&camera(), &all, &exact()).unwrap();
+            sigmas += fit.whole_sigma_px / REPEATS as f64;
+            let (n, d) = (fit.plane.normal - light().normal, fit.plane.offset - light().offset);
+            for (i, off) in [n.x, n.y, n.z, d].into_iter().enumerate() {
+                inside[i] += f64::from(u8::from(off.abs() < 1.96 * fit.covariance[(i, i)].sqrt())) / REPEATS as f64;
+            }
+        }
+        // Without them in the model: a quarter inside.
+        assert!((0.35..0.65).contains(&sigmas), "{sigmas}");
+        assert!(inside.iter().sum::<f64>() / 4.0 >= 0.88, "{inside:?}");
+    }
+
+    #[test]
     fn black_images_count_through_the_arm() {
         let truth = HandEye {
             hand_from_camera: Isometry3::new(Vector3::new(0.1, -0.02, 0.03), Vector3::new(0.1, 0.2, 1.5)),
@@ -532,6 +578,52 @@ mod tests {
         assert!(held.len() == 2 && held.iter().all(|h| !h.seen));
         let [off, ..] = residuals_of(&held);
         assert!(off.rms < 1.0 && off.unit == "mm", "{off:?}");
+    }
+
+    #[test]
+    fn a_stripe_that_is_off_is_left_out_and_named() {
+        for (seed, stray) in [(11, 3), (12, 0), (13, 7)] {
+            let mut all = frames(8, 0.1, seed);
+            for [_, v] in &mut all[stray].stripe.as_mut().unwrap().points {
+                *v += 30.0;
+            }
+            let fit = calibrate(&camera(), &all, &exact()).unwrap();
+            let named: Vec<&str> = fit.rejected.iter().map(|r| r.what.as_str()).collect();
+            assert_eq!(named, [format!("im{stray}: stripe")], "{:?}", fit.rejected);
+            // Its corners still count, and the plane is that of the others.
+            assert_eq!(fit.counts(), [7, 8]);
+            let others: Vec<Frame> = (all.iter().enumerate())
+                .map(|(i, f)| if i == stray { Frame { stripe: None, ..f.clone() } } else { f.clone() })
+                .collect();
+            let same = calibrate(&camera(), &others, &exact()).unwrap();
+            assert!((same.plane.normal - fit.plane.normal).norm() < 1e-6, "{:?} {:?}", same.plane, fit.plane);
+            assert!(fit.rejected[0].why.contains(" px from where the plane of the others"), "{:?}", fit.rejected);
+        }
+        // Two in eight; and three, which are too many.
+        let shifted = |strays: &[usize]| {
+            let mut all = frames(8, 0.1, 14);
+            for (k, i) in strays.iter().enumerate() {
+                all[*i].stripe.as_mut().unwrap().points.iter_mut().for_each(|[_, v]| *v += 30.0 - 55.0 * k as f64);
+            }
+            calibrate(&camera(), &all, &exact())
+        };
+        let named: Vec<String> = shifted(&[2, 5]).unwrap().rejected.into_iter().map(|r| r.what).collect();
+        assert_eq!(named, ["im2: stripe", "im5: stripe"]);
+        assert!(shifted(&[1, 2, 5]).unwrap_err().to_string().contains("3 of 8 stripes that do not fit"));
+    }
+
+    #[test]
+    fn lines_at_random_are_no_stripes() {
+        let mut all = frames(8, 0.1, 15);
+        for (i, frame) in all.iter_mut().enumerate() {
+            let (turn, shift) = (1.0 + i as f64 * 2.4, 60.0 * (i as f64 * 1.9).sin());
+            for [u, v] in &mut frame.stripe.as_mut().unwrap().points {
+                let along = *u - 320.0;
+                (*u, *v) = (320.0 + along * turn.cos(), 240.0 + shift + along * turn.sin());
+            }
+        }
+        let fault = calibrate(&camera(), &all, &exact()).unwrap_err().to_string();
+        assert!(fault.contains("on no common plane"), "{fault}");
     }
 
     #[test]

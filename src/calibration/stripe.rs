@@ -1,8 +1,12 @@
-//! The laser's stripe on a flat board: points to sub-pixel, in whichever channel, direction and fineness it shows best.
+//! The laser's stripe on a flat board: points to sub-pixel, in whichever direction and fineness it shows best.
 //!
 //! On a flat board the stripe is a straight line to a camera without distortion. That is the measure of how well it was found:
-//! each image is looked at in each channel, along columns and along rows, as it is and with 2 × 2 and 4 × 4 pixels taken
-//! together (a stripe wider than some pixels is mostly speckle at full size), and the look is kept whose line is the tightest.
+//! each image is looked at along columns and along rows, as it is and with 2 × 2 and 4 × 4 pixels taken together (a stripe wider
+//! than some pixels is mostly speckle at full size), and the look is kept whose line is the tightest.
+//!
+//! The channel is one for all images ([`clearest`]): colours are focused, mosaicked and compressed differently, and put the same
+//! stripe up to a pixel apart. What is alike in all images is part of the plane that is found; what changes from image to image bends
+//! it.
 
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -71,63 +75,73 @@ const LENGTH_MIN: f64 = 0.5;
 /// A point farther than this from the line of the most is none of it [px].
 const NEAR_PX: f64 = 3.0;
 
-/// Finds the stripe on the board that `on_board` knows: whether a line of sight (x, y, 1) meets it. `images` are the channels
-/// of one image, with names.
+/// Finds the stripe in one channel of an image, on the board that `on_board` knows: whether a line of sight (x, y, 1) meets it.
 ///
-/// Errors: a black or saturated image, no stripe, a stripe that lies outside the board.
+/// Errors: an image of another size than the camera's, a black or saturated one, no stripe, a stripe that lies outside the board.
 pub fn find(
-    images: &[(&str, &Image)],
+    image: &Image,
     camera: &Camera,
     on_board: &dyn Fn(&Vector3<f64>) -> bool,
     params: &StripeParams,
 ) -> Result<Stripe> {
     let params = params.validated()?;
+    if (image.width(), image.height()) != (camera.width, camera.height) {
+        let found = format!("{} x {}", image.width(), image.height());
+        return Err(Fault::new("image size", found, format!("{} x {}, the camera's", camera.width, camera.height)));
+    }
     let mut extractor = Extractor::new(params.line)?;
     let (mut looks, mut outside_most, mut found_most): (Vec<Straight>, usize, usize) = (Vec::new(), 0, 0);
-    for (name, image) in images {
-        if (image.width(), image.height()) != (camera.width, camera.height) {
-            let found = format!("{} x {}", image.width(), image.height());
-            return Err(Fault::new("image size", found, format!("{} x {}, the camera's", camera.width, camera.height)));
-        }
-        for fineness in FINENESS {
-            for along_rows in [false, true] {
-                let Some(small) = reduced(image, fineness, along_rows) else { continue };
-                let line = extractor.extract(&small);
-                let mut look = Look { points: Vec::new(), outside: 0, step: fineness as f64, along_rows };
-                let middle = (fineness as f64 - 1.0) / 2.0;
-                for (i, peak) in line.columns.iter().enumerate().filter_map(|(i, peak)| peak.map(|p| (i, p))) {
-                    let across = f64::from(peak.v) * fineness as f64 + middle;
-                    let along = (i * fineness) as f64 + middle;
-                    let [u, v] = if along_rows { [across, along] } else { [along, across] };
-                    match camera.ray(u, v) {
-                        Some(ray) if on_board(&ray) => {
-                            look.points.push(Seen { at: [u, v], ray: ray.xy(), level: peak.level })
-                        }
-                        _ => look.outside += 1,
+    for fineness in FINENESS {
+        for along_rows in [false, true] {
+            let Some(small) = reduced(image, fineness, along_rows) else { continue };
+            let line = extractor.extract(&small);
+            let mut look = Look { points: Vec::new(), outside: 0, step: fineness as f64, along_rows };
+            let middle = (fineness as f64 - 1.0) / 2.0;
+            for (i, peak) in line.columns.iter().enumerate().filter_map(|(i, peak)| peak.map(|p| (i, p))) {
+                let across = f64::from(peak.v) * fineness as f64 + middle;
+                let along = (i * fineness) as f64 + middle;
+                let [u, v] = if along_rows { [across, along] } else { [along, across] };
+                match camera.ray(u, v) {
+                    Some(ray) if on_board(&ray) => {
+                        look.points.push(Seen { at: [u, v], ray: ray.xy(), level: peak.level })
                     }
+                    _ => look.outside += 1,
                 }
-                outside_most = outside_most.max(look.outside);
-                found_most = found_most.max(look.points.len());
-                let how = format!("{name}, {} px, {}", fineness, if along_rows { "by rows" } else { "by columns" });
-                looks.extend(look.straight(camera, &params, how));
             }
+            outside_most = outside_most.max(look.outside);
+            found_most = found_most.max(look.points.len());
+            let how = format!("{fineness} px, {}", if along_rows { "by rows" } else { "by columns" });
+            looks.extend(look.straight(camera, &params, how));
         }
     }
     // A short piece of a line, or of the board's edge, may be tight too: it must be about as long as the longest.
     let longest = looks.iter().map(|l| l.length_px).fold(0.0, f64::max);
     let long = looks.into_iter().filter(|l| l.length_px >= LENGTH_MIN * longest);
     let best = long.min_by(|a, b| a.score.total_cmp(&b.score));
-    best.map(|l| l.stripe).ok_or_else(|| refused(images, found_most, outside_most, &params))
+    best.map(|l| l.stripe).ok_or_else(|| refused(image, found_most, outside_most, &params))
+}
+
+/// The channel to look at: the one in which the line's place is known best in the most images. Each item is an image, with what was
+/// found in each channel, in the same order; the first channel among equals.
+pub fn clearest(images: &[Vec<Option<&Stripe>>]) -> usize {
+    let mut votes: Vec<usize> = Vec::new();
+    for channels in images {
+        votes.resize(votes.len().max(channels.len()), 0);
+        let open = |stripe: &Stripe| stripe.sigma_px * (stripe.alike / stripe.points.len().max(1) as f64).sqrt();
+        let found = channels.iter().enumerate().filter_map(|(i, stripe)| stripe.map(|s| (i, open(s))));
+        if let Some((best, _)) = found.min_by(|a, b| a.1.total_cmp(&b.1)) {
+            votes[best] += 1;
+        }
+    }
+    let most = votes.iter().copied().max();
+    votes.iter().position(|v| Some(*v) == most).unwrap_or(0)
 }
 
 /// Why there is no stripe.
-fn refused(images: &[(&str, &Image)], found: usize, outside: usize, params: &StripeParams) -> Fault {
+fn refused(image: &Image, found: usize, outside: usize, params: &StripeParams) -> Fault {
     let share = |counts: &dyn Fn(u8, u8) -> bool| {
-        let of = |image: &Image| {
-            let count = image.levels().iter().filter(|level| counts(**level, image.white())).count();
-            count as f64 / image.levels().len() as f64
-        };
-        images.iter().map(|(_, image)| of(image)).fold(0.0, f64::max)
+        let count = image.levels().iter().filter(|level| counts(**level, image.white())).count();
+        count as f64 / image.levels().len() as f64
     };
     let full = share(&|level, white| level >= white);
     if full > 0.5 {
@@ -322,7 +336,25 @@ mod tests {
     }
 
     fn found(image: &Image, on_board: &dyn Fn(&Vector3<f64>) -> bool) -> Result<Stripe> {
-        find(&[("red", image)], &camera(), on_board, &StripeParams::default())
+        find(image, &camera(), on_board, &StripeParams::default())
+    }
+
+    #[test]
+    fn the_channel_is_the_one_that_is_clearest_in_the_most_images() {
+        let of = |sigma_px: f64| {
+            let (points, look) = (vec![[0.0; 2]; 50], String::new());
+            Stripe { points, sigma_px, alike: 1.0, outside: 0, off: 0, look }
+        };
+        let (sharp, fair, dull) = (of(0.1), of(0.3), of(0.9));
+        assert_eq!(
+            clearest(&[vec![Some(&fair), Some(&dull)], vec![Some(&fair), Some(&sharp)], vec![Some(&sharp), None]]),
+            0
+        );
+        assert_eq!(clearest(&[vec![Some(&fair), Some(&sharp)], vec![None, Some(&dull)], vec![Some(&fair), None]]), 1);
+        // The same line from fewer points that are independent is known less well.
+        let smooth = Stripe { alike: 20.0, ..sharp.clone() };
+        assert_eq!(clearest(&[vec![Some(&smooth), Some(&fair)]]), 1);
+        assert_eq!((clearest(&[]), clearest(&[vec![None, None]])), (0, 0));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use super::view_checks::{checked, left, ordered};
 use super::zhang::{focal_lengths, homography, pose};
 use crate::fault::{Fault, Result, number_within, positive};
 use crate::geometry::{Camera as CameraFrame, Point, Transform};
-use crate::optics::{Camera, Distortion};
+use crate::optics::{Camera, Distortion, RigCovariance};
 
 /// One image of the board.
 #[derive(Clone, Debug, PartialEq)]
@@ -139,6 +139,12 @@ impl BoardFit {
     pub fn board_rms_m(&self) -> f64 {
         (self.board.iter().map(|(_, offset)| offset.norm_squared()).sum::<f64>() / self.board.len().max(1) as f64)
             .sqrt()
+    }
+
+    /// The camera's part of a rig's covariance.
+    pub fn rig_covariance(&self) -> RigCovariance {
+        let names = ["fx_px", "fy_px", "cu_px", "cv_px", "k1", "k2", "p1", "p2", "k3"];
+        RigCovariance::of(&names, &self.solution.covariance)
     }
 
     /// For people and programs.

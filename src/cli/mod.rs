@@ -26,6 +26,8 @@ pub enum Exit {
     Done,
     /// Done, but data was lost, and counted: exit code 3.
     Lossy,
+    /// A calibration was done and its files are written, but it keeps not all its limits: exit code 4.
+    NotAccepted,
 }
 
 /// Maps for mobile robots from a laser-slit range finder: simulated, recorded or real.
@@ -33,7 +35,7 @@ pub enum Exit {
 #[command(
     version,
     about,
-    after_help = "Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but data was lost (and counted).\n\
+    after_help = "Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but data was lost (and counted), 4 calibrated but NOT accepted.\n\
     Without a command: `metromap run worlds/lab.toml`."
 )]
 pub struct Cli {

@@ -52,6 +52,21 @@ impl RigCovariance {
         Self { parameters, matrix: (0..sigmas.len()).map(row).collect() }
     }
 
+    /// A covariance matrix of parameters with these names. What has no variance is exact and is not named; nothing is named
+    /// where an entry is not finite, since then no error bar is true.
+    pub fn of(names: &[&str], matrix: &DMatrix<f64>) -> Self {
+        let open: Vec<usize> = (0..names.len()).filter(|&i| matrix[(i, i)] != 0.0).collect();
+        // Rounding must not make it less symmetric than it is.
+        let row = |i: &usize| -> Vec<f64> {
+            open.iter().map(|j| (matrix[(*i, *j)] + matrix[(*j, *i)]) / 2.0).collect()
+        };
+        let matrix: Vec<Vec<f64>> = open.iter().map(row).collect();
+        if matrix.iter().flatten().any(|entry| !entry.is_finite()) {
+            return Self::default();
+        }
+        Self { parameters: open.iter().map(|&i| names[i].to_string()).collect(), matrix }
+    }
+
     /// Whether every parameter is exact.
     pub fn is_empty(&self) -> bool {
         self.parameters.is_empty()
@@ -60,10 +75,15 @@ impl RigCovariance {
     /// Refuses what is no covariance of a finder's parameters. It may be singular: what is certain has none.
     pub fn validated(self, rig: &Rig) -> Result<Self> {
         let known = rig.parameters();
+        if let Some(name) = self.parameters.iter().find(|name| !known.contains(&name.as_str())) {
+            return Err(Fault::new("covariance.parameters", format!("`{name}`"), known.join(", ")));
+        }
+        self.formed()
+    }
+
+    /// Refuses what is no covariance of any parameters, whatever they are.
+    pub fn formed(self) -> Result<Self> {
         for (i, name) in self.parameters.iter().enumerate() {
-            if !known.contains(&name.as_str()) {
-                return Err(Fault::new("covariance.parameters", format!("`{name}`"), known.join(", ")));
-            }
             if self.parameters[..i].contains(name) {
                 return Err(Fault::new("covariance.parameters", format!("`{name}` twice"), "each name once"));
             }

@@ -197,15 +197,35 @@ pub fn load_if_whole(path: &Path) -> Result<Option<RigFile>> {
     if table.contains_key("mount") || table.contains_key("laser") { parse(&text, path).map(Some) } else { Ok(None) }
 }
 
-/// A rig file of which only the camera is known yet; `load_camera` reads it back bit for bit.
-pub fn camera_to_toml(name: &str, camera: &Camera) -> String {
-    #[derive(Serialize)]
-    struct Partial {
-        version: i64,
-        name: String,
-        camera: CameraTable,
+/// How well its calibration knows the parameters of a rig file, which may have nothing but a camera; nothing for a ROS
+/// `camera_info` file, and where it says nothing.
+///
+/// Errors: those of `load`, as far as they are about the version and this table's form.
+pub fn load_covariance(path: &Path) -> Result<RigCovariance> {
+    if path.extension().is_some_and(|e| e == "yaml" || e == "yml") {
+        return Ok(RigCovariance::default());
     }
-    let document = Partial { version: VERSION, name: name.into(), camera: CameraTable::of(camera) };
+    let text = read_text(path, FILE_BYTES_MAX)?;
+    let placed = |fault: Fault| fault.in_file(path);
+    let Some(table) = versioned(&text).map_err(placed)?.remove("covariance") else {
+        return Ok(RigCovariance::default());
+    };
+    let found: RigCovariance =
+        table.try_into().map_err(|e: toml::de::Error| placed(Fault::new("covariance", e.message(), "a covariance")))?;
+    found.formed().map_err(placed)
+}
+
+/// A rig file of which only the camera is known yet; `load_camera` and `load_covariance` read it back bit for bit.
+pub fn camera_to_toml(name: &str, camera: &Camera, covariance: &RigCovariance) -> String {
+    #[derive(Serialize)]
+    struct Partial<'a> {
+        version: i64,
+        name: &'a str,
+        camera: CameraTable,
+        #[serde(skip_serializing_if = "RigCovariance::is_empty")]
+        covariance: &'a RigCovariance,
+    }
+    let document = Partial { version: VERSION, name, camera: CameraTable::of(camera), covariance };
     // Strings, numbers and tables of them: there is nothing in a camera that TOML cannot hold.
     toml::to_string(&document).unwrap_or_default()
 }
@@ -615,7 +635,7 @@ offset_m = 0.166
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rig.toml");
         let camera = Camera::metro_i();
-        std::fs::write(&path, camera_to_toml("c", &camera)).unwrap();
+        std::fs::write(&path, camera_to_toml("c", &camera, &RigCovariance::with_sigmas([("fx_px", 0.5)]))).unwrap();
         assert_eq!(load_camera(&path).unwrap(), camera);
         // It is no whole rig yet, and says what is missing.
         assert!(load_if_whole(&path).unwrap().is_none());

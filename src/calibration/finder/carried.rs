@@ -24,16 +24,7 @@ pub(super) fn rig_covariance(numbers: &[f64], covariance: &DMatrix<f64>, sensor:
     let spread = &slopes * covariance.view((0, 0), (TAPE_AT, TAPE_AT)) * slopes.transpose();
     let own = PARAMETERS[..CAMERA_AT].iter().map(|(name, ..)| *name);
     let names: Vec<&str> = own.chain(CAMERA).collect();
-    let open: Vec<usize> = (0..TAPE_AT).filter(|&i| spread[(i, i)] != 0.0).collect();
-    if open.iter().any(|&i| open.iter().any(|&j| !spread[(i, j)].is_finite())) {
-        return RigCovariance::default();
-    }
-    // Rounding must not make it less symmetric than it is.
-    let entry = |i: usize, j: usize| (spread[(i, j)] + spread[(j, i)]) / 2.0;
-    RigCovariance {
-        parameters: open.iter().map(|&i| names[i].to_string()).collect(),
-        matrix: open.iter().map(|&i| open.iter().map(|&j| entry(i, j)).collect()).collect(),
-    }
+    RigCovariance::of(&names, &spread)
 }
 
 #[cfg(test)]

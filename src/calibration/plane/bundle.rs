@@ -1,12 +1,17 @@
 //! Plane, camera, boards, hand-eye and the arm's errors at once, on reprojection.
 //!
-//! Rows: corners seen minus predicted; each stripe point's distance from the line where plane and board cross in the image; and
-//! what each pose of the arm is off by. Each is divided by its standard deviation, and those are found from the data in turn:
-//! a corner's and a stripe point's from what is left, the arm's from what its poses are off by and how well that is known.
+//! Rows: corners seen minus predicted; each stripe point's distance from the line where plane and board cross in the image; what
+//! each stripe as a whole is off by; and what each pose of the arm is off by. Each is divided by its standard deviation, and those
+//! are found from the data in turn: a corner's and a stripe point's from what is left, the arm's and the whole stripes' from what
+//! they are off by and how well that is known.
+//!
+//! A stripe as a whole is off because its profile is skewed (the lens, saturation, what the camera's own processing makes of it),
+//! or its board bent: the same for all its points, so that no number of them averages it away. Without it a few long, sharp stripes
+//! would get all the weight.
 
-use nalgebra::{DMatrix, Isometry3, Matrix3, Vector2, Vector3};
+use nalgebra::{DMatrix, Isometry3, Matrix3xX, Matrix4, Vector2, Vector3};
 
-use super::{Board, Frame, FrameFit, PlaneFit, PlaneParams, met, spread};
+use super::{Board, Frame, FrameFit, PlaneFit, PlaneParams, met};
 use crate::calibration::hand_eye::HandEye;
 use crate::calibration::points::Mark;
 use crate::calibration::pose::moved;
@@ -14,7 +19,7 @@ use crate::calibration::solve::{Noise, Options, Parameter, Solution, minimise_wi
 use crate::calibration::true_board::{Whitening, sightings};
 use crate::fault::{Fault, Result};
 use crate::geometry::{Camera as CameraFrame, Plane};
-use crate::optics::{Camera, Distortion};
+use crate::optics::{Camera, Distortion, RigCovariance};
 
 /// Places of the parameters.
 pub(super) mod place {
@@ -24,16 +29,24 @@ pub(super) mod place {
     pub const HAND: usize = 12;
     /// What the board in the base is turned and shifted by: six.
     pub const BOARD: usize = 18;
-    /// Six for each frame: what the hand is turned and shifted by in its own frame, or the board in the camera's.
+    /// Of each frame: what the hand is turned and shifted by in its own frame, or the board in the camera's.
     pub const FRAMES: usize = 24;
+    /// How many each frame has: those six, and what its stripe as a whole is off by [px].
+    pub const EACH: usize = 7;
 }
 
 /// Boards that must be seen for the camera to be refined.
 const BOARDS_FOR_CAMERA: usize = 4;
 /// Stripe points of a frame that go into the bundle: more would hold the same, since neighbours err alike.
 const POINTS_MAX: usize = 48;
+/// What a whole stripe is taken to be off by, standard deviation [px], until the data tell, or where they cannot.
+const WHOLE_PX: f64 = 0.2;
+/// It is never taken to be less [px].
+const WHOLE_PX_MIN: f64 = 0.01;
+/// Errors that the data must hold for their standard deviation to be found.
+const HELD_MIN: f64 = 1.0;
 /// Rounds of fitting and finding standard deviations.
-const ROUNDS_MAX: usize = 12;
+const ROUNDS_MAX: usize = 25;
 
 /// A frame in the bundle.
 #[derive(Clone, Debug)]
@@ -42,7 +55,7 @@ pub(super) struct Member {
     pub marks: Vec<Mark>,
     pub camera_from_board: Isometry3<f64>,
     /// The arm's pose, if the board is tied to it.
-    arm: Option<Isometry3<f64>>,
+    pub arm: Option<Isometry3<f64>>,
     pub points: Vec<[f64; 2]>,
     /// Standard deviation of one point [px], and how many independent ones there are.
     sigma_px: f64,
@@ -68,9 +81,20 @@ impl Member {
         }
     }
 
+    /// The same board without its stripe.
+    pub fn without_stripe(&self) -> Self {
+        Self { points: Vec::new(), look: String::new(), outside: 0, ..self.clone() }
+    }
+
     /// The points that go into the bundle.
     fn thinned(&self) -> impl Iterator<Item = &[f64; 2]> {
         self.points.iter().step_by(self.points.len().div_ceil(POINTS_MAX).max(1))
+    }
+
+    /// Rows in the bundle beside those of the corners.
+    fn other_rows(&self) -> usize {
+        let stripe = if self.points.is_empty() { 0 } else { self.thinned().count() + 1 };
+        stripe + if self.arm.is_some() { 6 } else { 0 }
     }
 
     /// The standard deviation of one of them: together they hold as much as the independent ones.
@@ -80,11 +104,13 @@ impl Member {
 }
 
 /// Standard deviations that the data tell.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Sigmas {
     corner_px: f64,
     /// Stripe points are off by this many times what their own straight line says.
     stripe: f64,
+    /// Stripes as a whole [px].
+    whole_px: f64,
     arm_m: f64,
     arm_rad: f64,
 }
@@ -94,6 +120,7 @@ impl Sigmas {
         let near = |a: f64, b: f64| (a / b - 1.0).abs() < 0.01;
         near(self.corner_px, other.corner_px)
             && near(self.stripe, other.stripe)
+            && near(self.whole_px, other.whole_px)
             && near(self.arm_m, other.arm_m)
             && near(self.arm_rad, other.arm_rad)
     }
@@ -111,7 +138,7 @@ pub(super) struct Bundle {
 impl Bundle {
     pub fn new(camera: Camera, members: Vec<Member>, hand_eye: Option<HandEye>, params: PlaneParams) -> Self {
         let (arm_m, arm_rad) = (params.arm_sigma_m.unwrap_or(2e-4), params.arm_sigma_rad.unwrap_or(2e-3));
-        let sigmas = Sigmas { corner_px: 0.2, stripe: 1.0, arm_m, arm_rad };
+        let sigmas = Sigmas { corner_px: 0.2, stripe: 1.0, whole_px: WHOLE_PX, arm_m, arm_rad };
         Self { camera, members, hand_eye, params, whitening: None, sigmas }
     }
 
@@ -171,7 +198,11 @@ impl Bundle {
         };
         let with_arm = self.members.iter().any(|m| m.arm.is_some());
         all.extend(six("hand").chain(six("board")).map(|p| if with_arm { p } else { p.fixed() }));
-        all.extend(self.members.iter().flat_map(|m| six(&format!("{}:", m.name))));
+        for member in &self.members {
+            all.extend(six(&format!("{}:", member.name)));
+            let whole = Parameter::new(format!("{}: stripe_px", member.name), 0.0, 100.0);
+            all.push(if member.points.is_empty() { whole.fixed() } else { whole });
+        }
         all
     }
 
@@ -227,15 +258,18 @@ impl Bundle {
             let [u, v] = camera.project(&(board * nalgebra::Point3::from(mark.target.xyz)).coords)?;
             corners.extend([mark.u_px - u, mark.v_px - v]);
         }
-        let line = crossing(&board, p)?;
+        let line = crossing(&board, &plane_of(p))?;
         let sigma = member.thinned_sigma_px() * self.sigmas.stripe;
+        let own = own(p, j);
         for point in member.thinned() {
-            others.push(from_crossing(camera, &line, point)? / sigma);
+            others.push((from_crossing(camera, &line, point)? - own[6]) / sigma);
+        }
+        if !member.points.is_empty() {
+            others.push(own[6] / self.sigmas.whole_px);
         }
         if member.arm.is_some() {
-            let own = own(p, j);
             others.extend(own[..3].iter().map(|turn| turn / self.sigmas.arm_rad));
-            others.extend(own[3..].iter().map(|shift| shift / self.sigmas.arm_m));
+            others.extend(own[3..6].iter().map(|shift| shift / self.sigmas.arm_m));
         }
         Some(())
     }
@@ -243,16 +277,18 @@ impl Bundle {
     /// Central differences; what belongs to one frame moves only that frame's rows.
     fn jacobian(&self, p: &[f64], parameters: &[Parameter]) -> Option<DMatrix<f64>> {
         let corner_rows: usize = self.members.iter().map(|m| 2 * m.marks.len()).sum();
-        let other_rows = |m: &Member| m.thinned().count() + if m.arm.is_some() { 6 } else { 0 };
-        let rows = corner_rows + self.members.iter().map(other_rows).sum::<usize>();
+        let rows = corner_rows + self.members.iter().map(Member::other_rows).sum::<usize>();
         let mut slopes = DMatrix::zeros(rows, p.len());
         let mut moved = p.to_vec();
         let mut from = (0, corner_rows);
         for j in 0..=self.members.len() {
             // The last turn is that of the shared parameters.
             let frame = self.members.get(j);
-            let range =
-                if frame.is_some() { place::FRAMES + 6 * j..place::FRAMES + 6 * (j + 1) } else { 0..place::FRAMES };
+            let range = if frame.is_some() {
+                place::FRAMES + place::EACH * j..place::FRAMES + place::EACH * (j + 1)
+            } else {
+                0..place::FRAMES
+            };
             let side = |moved: &[f64]| -> Option<(Vec<f64>, Vec<f64>)> {
                 let camera = self.camera(moved)?;
                 let (mut corners, mut others) = (Vec::new(), Vec::new());
@@ -277,7 +313,7 @@ impl Bundle {
                 }
             }
             if let Some(member) = frame {
-                from = (from.0 + 2 * member.marks.len(), from.1 + other_rows(member));
+                from = (from.0 + 2 * member.marks.len(), from.1 + member.other_rows());
             }
         }
         for mut column in slopes.column_iter_mut() {
@@ -308,29 +344,36 @@ impl Bundle {
             sigmas.corner_px = (sigmas.corner_px * (square / free as f64).sqrt()).max(1e-3);
         }
         let (mut from, mut square, mut independent) = (corner_rows, 0.0, 0.0);
-        let (mut turns, mut shifts, mut count) = (0.0, 0.0, 0.0);
+        let [mut turns, mut shifts, mut wholes] = [Spread::default(); 3];
         for (j, member) in self.members.iter().enumerate() {
             let points = member.thinned().count();
             square += fit.residuals[from..from + points].iter().map(|r| r * r).sum::<f64>();
             independent += if points > 0 { member.independent } else { 0.0 };
-            from += points + if member.arm.is_some() { 6 } else { 0 };
-            // Only where the board's own corners tell: elsewhere the arm's error is what was assumed.
-            if member.arm.is_some() && !member.marks.is_empty() {
-                for i in 0..3 {
-                    let [turn, shift] = [i, i + 3].map(|i| place::FRAMES + 6 * j + i);
-                    turns += fit.values[turn].powi(2) + fit.covariance[(turn, turn)];
-                    shifts += fit.values[shift].powi(2) + fit.covariance[(shift, shift)];
-                    count += 1.0;
-                }
+            from += member.other_rows();
+            // Only where the board's own corners tell: elsewhere the errors are what was assumed.
+            if member.marks.is_empty() {
+                continue;
+            }
+            let own = place::FRAMES + place::EACH * j;
+            if points > 0 {
+                wholes.add(fit, own + 6, self.sigmas.whole_px);
+            }
+            if member.arm.is_some() {
+                (0..3).for_each(|i| turns.add(fit, own + i, self.sigmas.arm_rad));
+                (3..6).for_each(|i| shifts.add(fit, own + i, self.sigmas.arm_m));
             }
         }
         if independent > 0.0 {
             sigmas.stripe = (sigmas.stripe * (square / independent).sqrt()).clamp(1.0, 100.0);
         }
-        if count > 0.0 {
-            let found = |known: Option<f64>, squares: f64| known.unwrap_or((squares / count).sqrt().max(1e-7));
-            sigmas.arm_rad = found(self.params.arm_sigma_rad, turns);
-            sigmas.arm_m = found(self.params.arm_sigma_m, shifts);
+        if let Some(found) = wholes.sigma() {
+            sigmas.whole_px = found.max(WHOLE_PX_MIN);
+        }
+        if let Some(found) = turns.sigma() {
+            sigmas.arm_rad = self.params.arm_sigma_rad.unwrap_or(found.max(1e-7));
+        }
+        if let Some(found) = shifts.sigma() {
+            sigmas.arm_m = self.params.arm_sigma_m.unwrap_or(found.max(1e-7));
         }
         sigmas
     }
@@ -339,17 +382,16 @@ impl Bundle {
         let p = &solution.values;
         let out_of_sight = || reasoned("points out of sight".into());
         let camera = self.camera(p).ok_or_else(out_of_sight)?.validated()?;
-        let m = Vector3::new(p[place::PLANE], p[place::PLANE + 1], p[place::PLANE + 2]);
+        let m = plane_of(p);
         let plane = Plane::new(m, 1.0).filter(|plane| plane.offset > 1e-3).ok_or_else(|| {
             let found = format!("a plane {:.3} mm from the camera's centre", 1e3 / m.norm());
             Fault::new("stripes", found, "at least 1 mm: nothing can be triangulated otherwise")
         })?;
-        let covariance: Matrix3<f64> = solution.covariance.fixed_view::<3, 3>(place::PLANE, place::PLANE).into_owned();
         let mut raw = Vec::new();
         let mut frames = Vec::with_capacity(self.members.len());
         for (j, member) in self.members.iter().enumerate() {
             let board = self.board(j, p);
-            let line = crossing(&board, p).ok_or_else(out_of_sight)?;
+            let line = crossing(&board, &plane_of(p)).ok_or_else(out_of_sight)?;
             let mut fit = FrameFit {
                 name: member.name.clone(),
                 camera_from_board: board,
@@ -376,7 +418,7 @@ impl Bundle {
             if member.arm.is_some() {
                 let own = own(p, j);
                 let length = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-                fit.arm_off = [length(&own[3..]), length(&own[..3])];
+                fit.arm_off = [length(&own[3..6]), length(&own[..3])];
             }
             frames.push(fit);
         }
@@ -387,40 +429,96 @@ impl Bundle {
             fit.corners_px = if fit.corners > 0 { (square / fit.corners as f64).sqrt() } else { 0.0 };
         }
         let has_arm = self.members.iter().any(|m| m.arm.is_some());
-        Ok(PlaneFit {
+        let camera_slopes = self.camera_slopes(&solution).ok_or_else(out_of_sight)?;
+        let fit = PlaneFit {
             camera,
             plane,
-            covariance: spread(&m, &covariance),
+            covariance: Matrix4::zeros(),
             hand_eye: self.hand_eye(p).filter(|_| has_arm),
             arm_sigma: has_arm.then_some([self.sigmas.arm_m, self.sigmas.arm_rad]),
+            whole_sigma_px: self.sigmas.whole_px,
             frames,
             solution,
             svd_off_rad: 0.0,
             rejected: Vec::new(),
-        })
+            camera_slopes,
+            carried: RigCovariance::default(),
+        };
+        Ok(fit.carrying(&RigCovariance::default()))
+    }
+
+    /// How the plane moves, m over the camera's parameters, when stripes and boards are fitted with another camera; `None` if
+    /// the camera itself was fitted.
+    fn camera_slopes(&self, fit: &Solution) -> Option<Option<Matrix3xX<f64>>> {
+        if fit.parameters[..4].iter().any(|p| !p.fixed) {
+            return Some(None);
+        }
+        let coefficients = match self.camera.distortion {
+            Distortion::Pinhole => 0,
+            Distortion::Tsai { .. } => 1,
+            Distortion::BrownConrady { .. } => 5,
+        };
+        let mut opened = fit.parameters.clone();
+        opened[..4 + coefficients].iter_mut().for_each(|p| p.fixed = false);
+        let slopes = self.jacobian(&fit.values, &opened)?;
+        // Least squares again after a step of the camera: −(JᵀJ)⁻¹·Jᵀ·(d residuals/d camera), of which the rows of m.
+        let plane = fit.covariance.rows(place::PLANE, 3);
+        let moved = -(plane * slopes.transpose() * slopes.columns(0, place::PLANE));
+        Some(Some(Matrix3xX::from_fn(place::PLANE, |i, j| moved[(i, j)])))
     }
 }
 
-/// The six parameters of frame `j`.
+/// The standard deviation of errors that are parameters with mean 0, from their estimates.
+///
+/// An estimate is drawn to 0 the more, the less the data hold it: σ² = Σv²/Σ(1 − C/σ²) with its variance C (MacKay 1992), the
+/// fixed point of expectation and maximisation, reached in fewer rounds.
+#[derive(Clone, Copy, Default)]
+struct Spread {
+    squares: f64,
+    held: f64,
+}
+
+impl Spread {
+    fn add(&mut self, fit: &Solution, i: usize, sigma: f64) {
+        self.squares += fit.values[i].powi(2);
+        self.held += (1.0 - fit.covariance[(i, i)] / (sigma * sigma)).max(0.0);
+    }
+
+    /// `None` where the data hold none of them.
+    fn sigma(&self) -> Option<f64> {
+        (self.held > HELD_MIN).then(|| (self.squares / self.held).sqrt())
+    }
+}
+
+/// The parameters of frame `j`.
 fn own(p: &[f64], j: usize) -> &[f64] {
-    let from = place::FRAMES + 6 * j;
-    &p[from..from + 6]
+    let from = place::FRAMES + place::EACH * j;
+    &p[from..from + place::EACH]
+}
+
+/// The plane m·x = 1.
+fn plane_of(p: &[f64]) -> Vector3<f64> {
+    Vector3::new(p[place::PLANE], p[place::PLANE + 1], p[place::PLANE + 2])
 }
 
 /// The line l·(x, y, 1) = 0 in which a camera without distortion sees plane (m·x = 1) and board cross, |l.xy| = 1.
-fn crossing(board: &Isometry3<f64>, p: &[f64]) -> Option<Vector3<f64>> {
+pub(super) fn crossing(board: &Isometry3<f64>, m: &Vector3<f64>) -> Option<Vector3<f64>> {
     let normal = board.rotation * Vector3::z();
     let offset = normal.dot(&board.translation.vector);
-    let line = Vector3::new(p[place::PLANE], p[place::PLANE + 1], p[place::PLANE + 2]) - normal / offset;
+    let line = m - normal / offset;
     let size = line.xy().norm();
     (offset.abs() > 1e-9 && size.is_finite() && size > 1e-12).then(|| line / size)
 }
 
 /// How far a pixel is from that line [px].
-fn from_crossing(camera: &Camera, line: &Vector3<f64>, [u, v]: &[f64; 2]) -> Option<f64> {
-    let off = line.dot(&camera.ray(*u, *v)?);
+pub(super) fn from_crossing(camera: &Camera, line: &Vector3<f64>, [u, v]: &[f64; 2]) -> Option<f64> {
+    Some(from_crossing_ray(camera, line, &camera.ray(*u, *v)?))
+}
+
+/// The same for a line of sight (x, y, 1).
+pub(super) fn from_crossing_ray(camera: &Camera, line: &Vector3<f64>, ray: &Vector3<f64>) -> f64 {
     // The line in pixels: (line.x/fx)·u + (line.y/fy)·v + … = 0.
-    Some(off / Vector2::new(line.x / camera.fx, line.y / camera.fy).norm())
+    line.dot(ray) / Vector2::new(line.x / camera.fx, line.y / camera.fy).norm()
 }
 
 fn reasoned(found: String) -> Fault {

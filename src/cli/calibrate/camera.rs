@@ -18,7 +18,7 @@ use crate::calibration::points::{LengthUnit, Mark, Rows, camera_info};
 use crate::calibration::report::{Rejected, Report, Verdict, Weak};
 use crate::calibration::views::{self, BoardFit, BoardParams, View};
 use crate::fault::{Fault, Result};
-use crate::optics::Camera;
+use crate::optics::{Camera, RigCovariance};
 use crate::report::html::figures;
 use crate::sources::images::{Channel, read_image};
 use crate::sources::{marks, rig_file};
@@ -34,7 +34,7 @@ JSON keys: parameters {name: {value, sigma, unit}}, residual {rms, mean, max, un
 weak [{changes {name: by}, correlation}], verdict {accepted, reasons}, covariance {names, rows}, camera_info \
 {difference_rms_px, difference_max_px} (what the rewriting for ROS costs), files; one view: tz_over_f, tilt_deg; many views: \
 drawn {rms, mean, max, unit} (against the board as drawn), board_rms_m, views [{image, marks, rms_px, drawn_rms_px, tilt_deg, \
-distance_m}].";
+distance_m}].\n\nExit code 4: NOT accepted; the files are written all the same, and `verdict` has the reasons.";
 
 /// A model of the lens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -135,6 +135,8 @@ struct Outcome {
     weak: Vec<Weak>,
     verdict: Verdict,
     page: String,
+    /// What the rig file says of how well the camera is known.
+    covariance: RigCovariance,
     /// Keys beside the agreed ones.
     more: Value,
     lines: String,
@@ -166,7 +168,12 @@ pub fn run(options: Options) -> Result<Exit> {
     outcome.more["weak"] = json!(outcome.weak);
     outcome.more["verdict"] = json!(outcome.verdict);
     let value = with(&outcome.report, outcome.more)?;
-    let texts = [rig_file::camera_to_toml("camera", &outcome.camera), info.yaml, outcome.page, format!("{value}\n")];
+    let texts = [
+        rig_file::camera_to_toml("camera", &outcome.camera, &outcome.covariance),
+        info.yaml,
+        outcome.page,
+        format!("{value}\n"),
+    ];
     save(&options.out, &names.into_iter().zip(texts).collect::<Vec<_>>())?;
     if options.json {
         print(&value);
@@ -181,7 +188,7 @@ pub fn run(options: Options) -> Result<Exit> {
         let rig = options.out.join("rig.toml");
         eprintln!("next: metromap calibrate plane IMAGES --board COLSxROWS --square MM --rig {}", rig.display());
     }
-    Ok(exit(measured.unreadable))
+    Ok(exit(outcome.verdict.accepted, measured.unreadable))
 }
 
 fn measured(options: &Options) -> Result<Measured> {
@@ -339,6 +346,7 @@ fn by_block(options: &Options, measured: &Measured, limits: &CameraLimits) -> Re
         weak: fit.weak(),
         verdict: fit.verdict(limits),
         page: fit.page(limits, &marks),
+        covariance: fit.rig_covariance(&sensor),
         more,
         lines,
     })
@@ -397,6 +405,7 @@ fn by_boards(options: &Options, measured: &Measured, limits: &CameraLimits) -> R
         weak: fit.weak(),
         verdict: fit.verdict(limits),
         page: fit.page(limits),
+        covariance: fit.rig_covariance(),
         more,
         lines,
     })

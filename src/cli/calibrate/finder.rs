@@ -12,6 +12,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::super::Exit;
+use super::shared::exit;
 use crate::calibration::finder::{
     FinderFit, Held, Observations, Procedure, Slit, Surface, Verdict, calibrate, page, shifted,
 };
@@ -28,7 +29,7 @@ metromap calibrate finder --example out/slits\n    metromap calibrate finder out
 JSON keys: parameters {name: {value, sigma, unit}}, residual {rms, mean, max, unit} (over the readings' standard deviations), \
 used, rejected [{what, why}], held {name: data | prior | weak | known}, slits [{what, mirror_pulse, rms, readings, pulse_off, \
 mark_off_m}], weak [{changes {name: by}, left}], advice [{measure, settles {name: [sigma now, then]}}], verdict {accepted, \
-reasons, range_sigma_m}, covariance {names, rows}, files.";
+reasons, range_sigma_m}, covariance {names, rows}, files.\n\nExit code 4: NOT accepted; the files are written all the same, and `verdict` has the reasons.";
 
 /// Calibrate mirror, camera and encoders of a finder.
 #[derive(Args, Clone, Debug)]
@@ -99,7 +100,7 @@ pub fn run(options: Options) -> Result<Exit> {
         eprintln!("report: {}", report.display());
         eprintln!("use it: metromap map RECORDING --rig {}", rig.display());
     }
-    Ok(Exit::Done)
+    Ok(exit(verdict.accepted, 0))
 }
 
 /// A few lines for people.

@@ -15,7 +15,7 @@ use crate::calibration::plane::{
 };
 use crate::calibration::points::camera_info;
 use crate::calibration::report::Rejected;
-use crate::calibration::stripe::{self, StripeParams};
+use crate::calibration::stripe::{self, Stripe, StripeParams};
 use crate::fault::{Fault, Result};
 use crate::geometry::Transform;
 use crate::optics::{Axis, Camera, Laser, Rig, Sheet};
@@ -32,10 +32,10 @@ Camera and laser on an arm, images black but for the stripe too: --poses FILE, w
 Only stripe points on the board count: its corners and --margin-mm around them.\n\n\
 JSON keys: parameters {name: {value, sigma, unit}} (normal and offset_m: n.x = d in the camera's optical frame; the camera where it \
 was refined; with an arm hand_*, arm_*), residual {rms, mean, max, unit} (points off the plane, mm), used (points), rejected \
-[{what, why}], boards_seen, stripes_used, stripe_px {rms, mean, max, unit}, weak [{changes {name: by}, correlation}], verdict \
+[{what, why}], boards_seen, stripes_used, channel (that the stripes are from), stripe_px {rms, mean, max, unit}, weak [{changes {name: by}, correlation}], verdict \
 {accepted, reasons}, frames [{image, corners, corners_px, points, outside, stripe_px, plane_rms_mm, arm_off_mm, arm_off_deg, look}], \
 holdout {calibrated_on, boards_seen, through_arm, all: {rms, mean, max, unit}, images} (with --hold-out: triangulated stripes \
-off their boards), files.";
+off their boards), files.\n\nExit code 4: NOT accepted; the files are written all the same, and `verdict` has the reasons.";
 
 /// Which images have no part in the calibration of the hold-out test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -68,7 +68,8 @@ pub struct Options {
     /// How far the flat sheet reaches beyond the outermost corners [mm; default: one square]
     #[arg(long, value_name = "MM")]
     pub margin_mm: Option<f64>,
-    /// What of a colour image is looked at [default: red, and red minus the others, whichever shows the line best]
+    /// What of colour images is looked at [default: red, or red minus the others, whichever shows the line better in most of
+    /// them]
     #[arg(long, value_enum, value_name = "CHANNEL")]
     pub channel: Option<Channel>,
     /// Calibrate again without these images, and see how far their stripes lie off their boards
@@ -99,6 +100,8 @@ struct Seens {
     frames: Vec<Frame>,
     rejected: Vec<Rejected>,
     unreadable: usize,
+    /// The channel that the stripes are from.
+    channel: &'static str,
 }
 
 /// Runs the command.
@@ -115,9 +118,10 @@ pub fn run(options: Options) -> Result<Exit> {
     let board =
         options.board.chessboard()?.ok_or_else(|| Fault::new("--board", "nothing", "COLSxROWS, and --square MM"))?;
     let camera = rig_file::load_camera(&options.rig)?;
-    let Seens { frames, rejected, unreadable } = seen(&options, &board, &camera, &params)?;
+    let Seens { frames, rejected, unreadable, channel } = seen(&options, &board, &camera, &params)?;
     let mut fit = plane::calibrate(&camera, &frames, &params)?;
     fit.rejected.splice(0..0, rejected);
+    let fit = fit.carrying(&rig_file::load_covariance(&options.rig)?);
     let (held, halves) = match options.hold_out {
         Some(which) => held(&camera, &frames, &params, which)?,
         None => (Vec::new(), 0),
@@ -128,7 +132,7 @@ pub fn run(options: Options) -> Result<Exit> {
     let (verdict, weak, report) = (fit.verdict(&limits), fit.weak(), fit.report());
     let [stripes, boards] = fit.counts();
     let mut more = json!({
-        "boards_seen": boards, "stripes_used": stripes, "stripe_px": fit.stripe_residual(), "weak": weak, "verdict": verdict,
+        "boards_seen": boards, "stripes_used": stripes, "channel": channel, "stripe_px": fit.stripe_residual(), "weak": weak, "verdict": verdict,
         "frames": fit.frames.iter().map(frame_json).collect::<Vec<_>>(),
         "files": names.map(|name| options.out.join(name).display().to_string()).to_vec(),
     });
@@ -140,11 +144,11 @@ pub fn run(options: Options) -> Result<Exit> {
     save(&options.out, &names.into_iter().zip(texts).collect::<Vec<_>>())?;
     if options.json {
         print(&value);
-        return Ok(exit(unreadable));
+        return Ok(exit(verdict.accepted, unreadable));
     }
     let residual = fit.residual();
     eprintln!(
-        "{} points of {stripes} stripes, off the plane by {} mm RMS, in the image by {} px; {boards} boards seen",
+        "{} points of {stripes} stripes ({channel}), off the plane by {} mm RMS, in the image by {} px; {boards} boards seen",
         report.used,
         figures(residual.rms, 3),
         figures(fit.stripe_residual().rms, 3)
@@ -164,7 +168,7 @@ pub fn run(options: Options) -> Result<Exit> {
     let rig = options.out.join("rig.toml");
     eprintln!("try it: metromap extract IMAGE --rig {}", rig.display());
     eprintln!("to map with it: say in it where the camera sits ([mount]) and where images were taken ([images])");
-    Ok(exit(unreadable))
+    Ok(exit(verdict.accepted, unreadable))
 }
 
 /// Boards and stripes of all images.
@@ -175,7 +179,7 @@ fn seen(options: &Options, board: &Chessboard, camera: &Camera, params: &PlanePa
         None => BTreeMap::new(),
     };
     let mut progress = Progress::new(2 * paths.len());
-    let mut found = Seens { frames: Vec::new(), rejected: Vec::new(), unreadable: 0 };
+    let mut found = Seens { frames: Vec::new(), rejected: Vec::new(), unreadable: 0, channel: "" };
     let mut used = Vec::new();
     let mut why_no_board: BTreeMap<String, String> = BTreeMap::new();
     for (i, path) in paths.iter().enumerate() {
@@ -210,12 +214,28 @@ fn seen(options: &Options, board: &Chessboard, camera: &Camera, params: &PlanePa
     let poses = plane::poses(camera, &found.frames, params)?;
     let margin_m = options.margin_mm.map_or(board.column_pitch_m.max(board.row_pitch_m), |mm| mm * 1e-3);
     let outline = Outline::of(board, margin_m)?;
-    let mut first_fault = None;
-    for ((frame, path), posed) in found.frames.iter_mut().zip(&used).zip(&poses.boards) {
+    let channels = options.channel.map_or_else(|| vec![Channel::Red, Channel::RedMinusOthers], |channel| vec![channel]);
+    // Of each image, in each channel.
+    let mut stripes = Vec::with_capacity(used.len());
+    for (path, posed) in used.iter().zip(&poses.boards) {
         progress.step("looking for stripes");
-        let Some(posed) = posed else { continue };
-        let on_board = |ray: &nalgebra::Vector3<f64>| outline.is_met(&posed.camera_from_board, ray);
-        match stripe_of(path, options.channel, camera, &on_board) {
+        stripes.push(match posed {
+            Some(posed) => {
+                let on_board = |ray: &nalgebra::Vector3<f64>| outline.is_met(&posed.camera_from_board, ray);
+                stripes_of(path, &channels, camera, &on_board)
+            }
+            None => Vec::new(),
+        });
+    }
+    let shown: Vec<Vec<Option<&Stripe>>> =
+        stripes.iter().map(|all| all.iter().map(|found| found.as_ref().ok()).collect()).collect();
+    let clearest = stripe::clearest(&shown);
+    found.channel = name_of_channel(channels[clearest]);
+    let mut first_fault = None;
+    for (frame, mut all) in found.frames.iter_mut().zip(stripes) {
+        // A grey image has one channel only.
+        let Some(last) = all.len().checked_sub(1) else { continue };
+        match all.swap_remove(clearest.min(last)) {
             Ok(stripe) => frame.stripe = Some(stripe),
             Err(fault) => {
                 found.rejected.push(Rejected { what: format!("{}: stripe", frame.name), why: fault.to_string() });
@@ -238,23 +258,31 @@ fn fits(camera: &Camera, [width, height]: [usize; 2], path: &Path) -> Result<()>
     Err(Fault::new("image size", format!("{width} x {height}"), expected).in_file(path))
 }
 
-fn stripe_of(
+/// What an image shows of the stripe in each channel.
+fn stripes_of(
     path: &Path,
-    channel: Option<Channel>,
+    channels: &[Channel],
     camera: &Camera,
     on_board: &dyn Fn(&nalgebra::Vector3<f64>) -> bool,
-) -> Result<stripe::Stripe> {
-    let channels = channel.map_or_else(|| vec![Channel::Red, Channel::RedMinusOthers], |channel| vec![channel]);
-    let images = read_channels(path, &channels, u8::MAX)?;
-    let name = |channel: &Channel| match channel {
+) -> Vec<Result<Stripe>> {
+    let images = match read_channels(path, channels, u8::MAX) {
+        Ok(images) => images,
+        Err(fault) => return vec![Err(fault)],
+    };
+    let find = |image: &crate::image::Image| {
+        stripe::find(image, camera, on_board, &StripeParams::default()).map_err(|fault| fault.in_file(path))
+    };
+    images.iter().map(|(_, image)| find(image)).collect()
+}
+
+fn name_of_channel(channel: Channel) -> &'static str {
+    match channel {
         Channel::Red => "red",
         Channel::Green => "green",
         Channel::Blue => "blue",
         Channel::Gray => "gray",
-        Channel::RedMinusOthers => "red minus others",
-    };
-    let named: Vec<(&str, &crate::image::Image)> = images.iter().map(|(c, image)| (name(c), image)).collect();
-    stripe::find(&named, camera, on_board, &StripeParams::default()).map_err(|fault| fault.in_file(path))
+        Channel::RedMinusOthers => "red_minus_others",
+    }
 }
 
 /// Calibrates without every second image, and measures those; how many images went into the calibration.

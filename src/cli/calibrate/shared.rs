@@ -161,9 +161,13 @@ pub fn summary(report: &Report, weak: &[Weak], verdict: &Verdict) -> String {
     text
 }
 
-/// Exit code 3 if files could not be read.
-pub fn exit(unreadable: usize) -> Exit {
-    if unreadable > 0 { Exit::Lossy } else { Exit::Done }
+/// Exit code 4 if the calibration is not accepted, whatever else; 3 if files could not be read.
+pub fn exit(accepted: bool, unreadable: usize) -> Exit {
+    match (accepted, unreadable) {
+        (false, _) => Exit::NotAccepted,
+        (true, 0) => Exit::Done,
+        (true, _) => Exit::Lossy,
+    }
 }
 
 /// A progress bar that comes only if it takes long, and only on a terminal.
