@@ -19,8 +19,8 @@ const RIVAL_SHIFT: u32 = 3;
 const STEP: usize = 2;
 /// Rows that this takes: their own, and the first one below.
 const ROWS: usize = STEP * GROUP + 1;
-/// Rows ahead that are fetched from the memory.
-const FAR: usize = 8 * GROUP;
+/// Rows ahead that are fetched.
+const AHEAD: usize = 4 * GROUP;
 
 /// A way to add up levels.
 trait Sums {
@@ -430,19 +430,17 @@ impl<T: Copy + Default + Ord> Rows<T> {
     }
 }
 
-/// Asks for what will be needed of the image, from the memory and from the second cache: the machine does not guess that
-/// so many rows are read at once.
+/// Asks for what will be needed of the image: the machine does not guess that so many rows are read at once.
 #[inline(always)]
 fn fetch(image: &Image, from: usize) {
     #[cfg(target_arch = "x86_64")]
     for line in 0..STEP * GROUP * LANES / 64 {
-        use std::arch::x86_64::{_MM_HINT_T0, _MM_HINT_T1, _mm_prefetch};
-        let ahead = |rows: usize| image.levels().as_ptr().wrapping_add(from + line * 64 + rows * image.width()).cast();
-        // SAFETY: hints that read nothing and cannot fail, whatever the address; SSE is part of x86_64.
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        let ahead = image.levels().as_ptr().wrapping_add(from + line * 64 + AHEAD * image.width());
+        // SAFETY: a hint that reads nothing and cannot fail, whatever the address; SSE is part of x86_64.
         #[allow(unsafe_code)]
         unsafe {
-            _mm_prefetch::<_MM_HINT_T1>(ahead(FAR));
-            _mm_prefetch::<_MM_HINT_T0>(ahead(STEP * GROUP));
+            _mm_prefetch::<_MM_HINT_T0>(ahead.cast());
         }
     }
     #[cfg(not(target_arch = "x86_64"))]
