@@ -20,7 +20,10 @@ const STEP: usize = 2;
 /// Rows that this takes: their own, and the first one below.
 const ROWS: usize = STEP * GROUP + 1;
 /// Rows ahead that are fetched.
-const AHEAD: usize = 4 * GROUP;
+const AHEAD: usize = 3 * GROUP;
+/// Rows ahead of which a page's place in the memory is asked for, and the bytes of a page.
+const FAR: usize = 16 * GROUP;
+const PAGE: usize = 4096;
 
 /// A way to add up levels.
 trait Sums {
@@ -236,6 +239,7 @@ impl<S: Sums> Work for Pass<'_, S> {
         best.bands.resize(grid.bands * chunks, Band::default());
         let late = grid.gap.div_ceil(GROUPS);
         rows.reset::<S>(image, chunks, (2 * late + 1) * GROUPS);
+        fetch_pages(image, 0..FAR);
         for band in 0..grid.bands + late {
             if band < grid.bands {
                 for step in 0..GROUPS / STEP {
@@ -375,6 +379,7 @@ impl<T: Copy + Default + Ord> Rows<T> {
         // Where the width is known, one address serves all rows. These are the most usual ones.
         let v = group * GROUP;
         let is_inside = v + ROWS <= height;
+        fetch_pages(image, v + FAR..v + FAR + STEP * GROUP);
         if is_inside
             && (width == 512 && sum_fixed::<S, 16>(image, v, pairs, upper, lower)
                 || width == 640 && sum_fixed::<S, 20>(image, v, pairs, upper, lower)
@@ -386,7 +391,7 @@ impl<T: Copy + Default + Ord> Rows<T> {
         let row = |i: usize| image.row((v + i).min(height - 1));
         let rows: [&[Lanes<u8>]; ROWS] = std::array::from_fn(|i| &row(i).as_chunks().0[..whole]);
         for k in 0..whole {
-            fetch(image, v * width + k * STEP * GROUP * LANES);
+            fetch_ahead(image, v * width + k * STEP * GROUP * LANES);
             sum::<S>(std::array::from_fn(|i| &rows[i][k]), &mut pairs[k].0, [&mut upper[k], &mut lower[k]]);
         }
         for k in whole..chunks {
@@ -432,15 +437,30 @@ impl<T: Copy + Default + Ord> Rows<T> {
 
 /// Asks for what will be needed of the image: the machine does not guess that so many rows are read at once.
 #[inline(always)]
+fn fetch_ahead(image: &Image, from: usize) {
+    for line in 0..STEP * GROUP * LANES / 64 {
+        fetch(image, from + line * 64 + AHEAD * image.width());
+    }
+}
+
+/// Asks for a level of each page of these rows, much earlier: where a page is takes longest to find.
+#[inline(always)]
+fn fetch_pages(image: &Image, rows: std::ops::Range<usize>) {
+    for from in (rows.start * image.width()..rows.end * image.width()).step_by(PAGE) {
+        fetch(image, from);
+    }
+}
+
+/// Asks for a level that will be needed, or for nothing if there is none.
+#[inline(always)]
 fn fetch(image: &Image, from: usize) {
     #[cfg(target_arch = "x86_64")]
-    for line in 0..STEP * GROUP * LANES / 64 {
+    {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        let ahead = image.levels().as_ptr().wrapping_add(from + line * 64 + AHEAD * image.width());
         // SAFETY: a hint that reads nothing and cannot fail, whatever the address; SSE is part of x86_64.
         #[allow(unsafe_code)]
         unsafe {
-            _mm_prefetch::<_MM_HINT_T0>(ahead.cast());
+            _mm_prefetch::<_MM_HINT_T0>(image.levels().as_ptr().wrapping_add(from).cast());
         }
     }
     #[cfg(not(target_arch = "x86_64"))]
@@ -463,7 +483,7 @@ fn sum_fixed<S: Sums, const CHUNKS: usize>(
         return false;
     };
     for k in 0..CHUNKS {
-        fetch(image, v * CHUNKS * LANES + k * STEP * GROUP * LANES);
+        fetch_ahead(image, v * CHUNKS * LANES + k * STEP * GROUP * LANES);
         sum::<S>(std::array::from_fn(|i| &rows[i][k]), &mut pairs[k].0, [&mut upper[k], &mut lower[k]]);
     }
     true
