@@ -123,8 +123,7 @@ pub(super) fn fit(scale: f32, ratio: [f32; 4], [la, lb, ld, le]: [f32; 4], noise
     // The sum of squares over variances as one fraction: a division is as long as ten products.
     let add = |a: (f32, f32), b: (f32, f32)| (a.0 * b.1 + b.0 * a.1, a.1 * b.1);
     let fraction = |i: usize| (squares[i], expected[i]);
-    let (misfit, divisor) =
-        add(add(add(fraction(0), fraction(1)), fraction(2)), add(fraction(3), fraction(4)));
+    let (misfit, divisor) = add(add(add(fraction(0), fraction(1)), fraction(2)), add(fraction(3), fraction(4)));
     let variance = if misfit > MISFIT * divisor { variance + 0.25 * width2 } else { variance };
     let q = 1.198 + width2 * (1.930 + 5.0 * width2);
     let (qq, inside) = (q * q, (1.0 - 4.0 * offset * offset).max(0.0));

@@ -4,7 +4,7 @@
 //! cache. It comes with two kinds of sums (`Sums`): rounded means in eight bits, which are fast, and exact ones, for
 //! images so quiet that the rounding would hide a faint line. Both only say where to look.
 
-use super::lanes::{Aligned, LANES, Lanes, Work, bits, chunk_of, run};
+use super::lanes::{Aligned, LANES, Lanes, Work, bits, chunk_of, fetch, run};
 use super::noise::Bytes;
 use super::ridge::{GROUP, GROUPS, Grid};
 use crate::image::Image;
@@ -439,7 +439,7 @@ impl<T: Copy + Default + Ord> Rows<T> {
 #[inline(always)]
 fn fetch_ahead(image: &Image, from: usize) {
     for line in 0..STEP * GROUP * LANES / 64 {
-        fetch(image, from + line * 64 + AHEAD * image.width());
+        fetch(image.levels(), from + line * 64 + AHEAD * image.width());
     }
 }
 
@@ -447,24 +447,8 @@ fn fetch_ahead(image: &Image, from: usize) {
 #[inline(always)]
 fn fetch_pages(image: &Image, rows: std::ops::Range<usize>) {
     for from in (rows.start * image.width()..rows.end * image.width()).step_by(PAGE) {
-        fetch(image, from);
+        fetch(image.levels(), from);
     }
-}
-
-/// Asks for a level that will be needed, or for nothing if there is none.
-#[inline(always)]
-fn fetch(image: &Image, from: usize) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: a hint that reads nothing and cannot fail, whatever the address; SSE is part of x86_64.
-        #[allow(unsafe_code)]
-        unsafe {
-            _mm_prefetch::<_MM_HINT_T0>(image.levels().as_ptr().wrapping_add(from).cast());
-        }
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = (image, from);
 }
 
 /// `Rows::sum` for images of so many whole chunks; `false` if these are not as many.
