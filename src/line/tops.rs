@@ -101,7 +101,7 @@ impl Tops {
         let all = window.rows[..2 * gap + 1].as_flattened();
         let (above, below) = (&all[..GROUP], &all[2 * gap * GROUP..][..GROUP]);
         let rows = &all[gap * GROUP - MARGIN..][..SIZE];
-        let mut in_window = [0u16; LANES];
+        let mut in_window = [0u8; LANES];
         for i in 0..LANES {
             let at = |k: usize| u16::from(rows[k][i]);
             let (a, b, c) = (at(MARGIN - 1), at(MARGIN), at(MARGIN + 1));
@@ -115,7 +115,7 @@ impl Tops {
                 u16::from(side[0][i]) + u16::from(side[1][i]) + u16::from(side[2][i]) + u16::from(side[3][i])
             };
             let (upper, lower) = (sum(above), sum(below));
-            in_window[i] = steps;
+            in_window[i] = steps as u8;
             self.row[i] = groups[i].wrapping_mul(GROUP as u16) + steps;
             // What is no ridge has no strength.
             self.strength[i] = if groups[i] == NOTHING { i16::MIN } else { top as i16 - upper.max(lower) as i16 };
@@ -125,7 +125,7 @@ impl Tops {
         let mut brightest = [0u8; LANES];
         for i in 0..LANES {
             // The ridge's row is MARGIN + steps; the brightest of it and its two neighbours, of equals the upper one.
-            let is = |steps: u16| 0u8.wrapping_sub(u8::from(in_window[i] == steps));
+            let is = |steps: u8| 0u8.wrapping_sub(u8::from(in_window[i] == steps));
             let (is0, is1, is2, is3) = (is(0), is(1), is(2), is(3));
             let pick = |k: usize| {
                 (rows[k][i] & is0) | (rows[k + 1][i] & is1) | (rows[k + 2][i] & is2) | (rows[k + 3][i] & is3)
