@@ -47,7 +47,7 @@ pub(super) struct Noise {
 /// The natural logarithm of a normal number greater than 0, right to 1e-7. No branches and no library: compilers make
 /// vectors of it, and it is the same on every machine.
 #[inline(always)]
-fn ln(x: f32) -> f32 {
+pub(super) fn ln(x: f32) -> f32 {
     // x = m·2ⁿ with m in [√½, √2), by moving the exponent's border from 1 to √½.
     const HALF_ROOT: u32 = 0x3F35_04F3;
     let shifted = x.to_bits().wrapping_sub(HALF_ROOT);
@@ -69,14 +69,25 @@ fn ln(x: f32) -> f32 {
 /// integrated Gaussians without noise, and right to 6 % for σ of 0.35 to 0.8 px. At 0.5 px it is 0.005 px; above 0.8, 0.
 #[inline(always)]
 pub(super) fn gauss5(level: [f32; SIZE], noise: Noise) -> (f32, f32) {
-    let peak = level[REACH];
-    let scale = 1.0 / peak;
-    // Moments of the weights and of the weighted logarithms, relative to the peak: Σw·xⁿ and Σw·xⁿ·ln I.
+    let scale = 1.0 / level[REACH];
+    let ratio = ratios(level, scale);
+    fit(scale, ratio, ratio.map(ln), noise)
+}
+
+/// The levels above and below the middle one, as parts of that, in the order of the rows.
+#[inline(always)]
+pub(super) fn ratios(level: [f32; SIZE], scale: f32) -> [f32; 4] {
     let over = |level: f32| (level * scale).max(FLOOR);
-    let ratio = [over(level[0]), over(level[1]), 1.0, over(level[3]), over(level[4])];
+    [over(level[0]), over(level[1]), over(level[3]), over(level[4])]
+}
+
+/// The rest of `gauss5`, from 1 over the peak and the other rows' parts of it with their logarithms.
+#[inline(always)]
+pub(super) fn fit(scale: f32, ratio: [f32; 4], [la, lb, ld, le]: [f32; 4], noise: Noise) -> (f32, f32) {
+    let ratio = [ratio[0], ratio[1], 1.0, ratio[2], ratio[3]];
+    // Moments of the weights and of the weighted logarithms, relative to the peak: Σw·xⁿ and Σw·xⁿ·ln I.
     let (a, b) = (ratio[0] * ratio[0], ratio[1] * ratio[1]);
     let (d, e) = (ratio[3] * ratio[3], ratio[4] * ratio[4]);
-    let (la, lb, ld, le) = (ln(ratio[0]), ln(ratio[1]), ln(ratio[3]), ln(ratio[4]));
     let (s0, s1) = (a + b + 1.0 + d + e, 2.0 * (e - a) + d - b);
     let (s2, s3, s4) = (4.0 * (a + e) + b + d, 8.0 * (e - a) + d - b, 16.0 * (a + e) + b + d);
     let (wa, wb, wd, we) = (a * la, b * lb, d * ld, e * le);
@@ -92,24 +103,38 @@ pub(super) fn gauss5(level: [f32; SIZE], noise: Noise) -> (f32, f32) {
     let offset = slope * per_bend;
     let width2 = (determinant * per_bend).clamp(WIDTH2[0], WIDTH2[1]);
     // dδ/d(ln I) is a parabola in x too: times the weight, and d(ln I)/dI = 1/I.
-    let (p0, p1, p2) = (c01 + 2.0 * offset * c02, c11 + 2.0 * offset * c12, c12 + 2.0 * offset * c22);
-    let (per_determinant, logs) = (1.0 / determinant, [la, lb, 0.0, ld, le]);
-    // The sum of squares over variances is a fraction: one division is as long as ten products.
-    let (mut variance, mut misfit, mut divisor) = (0.0, 0.0, 1.0);
+    let twice = 2.0 * offset;
+    let arms = parabola(c01 + twice * c02, c11 + twice * c12, c12 + twice * c22);
+    let per_determinant = 1.0 / determinant;
+    let fitted = parabola(height * per_determinant, slope * per_determinant, bend * per_determinant);
+    let logs = [la, lb, 0.0, ld, le];
+    // Noise, too, relative to the peak.
+    let (dark, shot) = (noise.dark * scale * scale, noise.shot * scale);
+    let (mut variance, mut squares, mut expected) = (0.0, [0.0; SIZE], [0.0; SIZE]);
     for i in 0..SIZE {
-        let x = i as f32 - REACH as f32;
-        let part = ratio[i] * (p0 + x * (p1 + x * p2)) * per_bend * scale;
-        let of_pixel = noise.dark + noise.shot * level[i].max(0.0);
+        let of_pixel = dark + shot * ratio[i];
+        let part = ratio[i] * arms[i];
         variance += part * part * of_pixel;
-        let residual = ratio[i] * (logs[i] - (height + x * (slope + x * bend)) * per_determinant) * peak;
-        let expected = of_pixel + (SHAPE * peak) * (SHAPE * peak);
-        misfit = misfit * expected + residual * residual * divisor;
-        divisor *= expected;
+        let residual = ratio[i] * (logs[i] - fitted[i]);
+        squares[i] = residual * residual;
+        expected[i] = of_pixel + SHAPE * SHAPE;
     }
+    variance *= per_bend * per_bend;
+    // The sum of squares over variances as one fraction: a division is as long as ten products.
+    let add = |a: (f32, f32), b: (f32, f32)| (a.0 * b.1 + b.0 * a.1, a.1 * b.1);
+    let fraction = |i: usize| (squares[i], expected[i]);
+    let (misfit, divisor) = add(add(add(fraction(0), fraction(1)), fraction(2)), add(fraction(3), fraction(4)));
     let variance = if misfit > MISFIT * divisor { variance + 0.25 * width2 } else { variance };
     let q = 1.198 + width2 * (1.930 + 5.0 * width2);
     let (qq, inside) = (q * q, (1.0 - 4.0 * offset * offset).max(0.0));
     (offset - offset * inside / (qq * qq), variance)
+}
+
+/// a + b·x + c·x² at the five rows.
+#[inline(always)]
+fn parabola(a: f32, b: f32, c: f32) -> [f32; SIZE] {
+    let (near, far) = (a + c, a + 4.0 * c);
+    [far - 2.0 * b, near - b, a, near + b, far + 2.0 * b]
 }
 
 /// Σi·J/ΣJ over the five rows with its variance. What is darker than the background counts as none, which keeps dim

@@ -81,6 +81,22 @@ pub(super) fn chunk_of(row: &[u8], chunk: usize) -> Lanes<u8> {
     }
 }
 
+/// Asks the memory for a level that will be needed, or for nothing if there is none.
+#[inline(always)]
+pub(super) fn fetch(levels: &[u8], from: usize) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a hint that reads nothing and cannot fail, whatever the address; SSE is part of x86_64.
+        #[allow(unsafe_code)]
+        unsafe {
+            _mm_prefetch::<_MM_HINT_T0>(levels.as_ptr().wrapping_add(from).cast());
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (levels, from);
+}
+
 /// A bit for each lane: whether it has its highest one set.
 #[inline(always)]
 pub(super) fn bits(lanes: &Lanes<u8>) -> u32 {

@@ -4,7 +4,7 @@
 //! cache. It comes with two kinds of sums (`Sums`): rounded means in eight bits, which are fast, and exact ones, for
 //! images so quiet that the rounding would hide a faint line. Both only say where to look.
 
-use super::lanes::{Aligned, LANES, Lanes, Work, bits, chunk_of, run};
+use super::lanes::{Aligned, LANES, Lanes, Work, bits, chunk_of, fetch, run};
 use super::noise::Bytes;
 use super::ridge::{GROUP, GROUPS, Grid};
 use crate::image::Image;
@@ -19,8 +19,11 @@ const RIVAL_SHIFT: u32 = 3;
 const STEP: usize = 2;
 /// Rows that this takes: their own, and the first one below.
 const ROWS: usize = STEP * GROUP + 1;
-/// Rows ahead that are fetched from the memory.
-const FAR: usize = 8 * GROUP;
+/// Rows ahead that are fetched.
+const AHEAD: usize = 3 * GROUP;
+/// Rows ahead of which a page's place in the memory is asked for, and the bytes of a page.
+const FAR: usize = 16 * GROUP;
+const PAGE: usize = 4096;
 
 /// A way to add up levels.
 trait Sums {
@@ -236,6 +239,7 @@ impl<S: Sums> Work for Pass<'_, S> {
         best.bands.resize(grid.bands * chunks, Band::default());
         let late = grid.gap.div_ceil(GROUPS);
         rows.reset::<S>(image, chunks, (2 * late + 1) * GROUPS);
+        fetch_pages(image, 0..FAR);
         for band in 0..grid.bands + late {
             if band < grid.bands {
                 for step in 0..GROUPS / STEP {
@@ -375,6 +379,7 @@ impl<T: Copy + Default + Ord> Rows<T> {
         // Where the width is known, one address serves all rows. These are the most usual ones.
         let v = group * GROUP;
         let is_inside = v + ROWS <= height;
+        fetch_pages(image, v + FAR..v + FAR + STEP * GROUP);
         if is_inside
             && (width == 512 && sum_fixed::<S, 16>(image, v, pairs, upper, lower)
                 || width == 640 && sum_fixed::<S, 20>(image, v, pairs, upper, lower)
@@ -386,7 +391,7 @@ impl<T: Copy + Default + Ord> Rows<T> {
         let row = |i: usize| image.row((v + i).min(height - 1));
         let rows: [&[Lanes<u8>]; ROWS] = std::array::from_fn(|i| &row(i).as_chunks().0[..whole]);
         for k in 0..whole {
-            fetch(image, v * width + k * STEP * GROUP * LANES);
+            fetch_ahead(image, v * width + k * STEP * GROUP * LANES);
             sum::<S>(std::array::from_fn(|i| &rows[i][k]), &mut pairs[k].0, [&mut upper[k], &mut lower[k]]);
         }
         for k in whole..chunks {
@@ -430,23 +435,20 @@ impl<T: Copy + Default + Ord> Rows<T> {
     }
 }
 
-/// Asks for what will be needed of the image, from the memory and from the second cache: the machine does not guess that
-/// so many rows are read at once.
+/// Asks for what will be needed of the image: the machine does not guess that so many rows are read at once.
 #[inline(always)]
-fn fetch(image: &Image, from: usize) {
-    #[cfg(target_arch = "x86_64")]
+fn fetch_ahead(image: &Image, from: usize) {
     for line in 0..STEP * GROUP * LANES / 64 {
-        use std::arch::x86_64::{_MM_HINT_T0, _MM_HINT_T1, _mm_prefetch};
-        let ahead = |rows: usize| image.levels().as_ptr().wrapping_add(from + line * 64 + rows * image.width()).cast();
-        // SAFETY: hints that read nothing and cannot fail, whatever the address; SSE is part of x86_64.
-        #[allow(unsafe_code)]
-        unsafe {
-            _mm_prefetch::<_MM_HINT_T1>(ahead(FAR));
-            _mm_prefetch::<_MM_HINT_T0>(ahead(STEP * GROUP));
-        }
+        fetch(image.levels(), from + line * 64 + AHEAD * image.width());
     }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = (image, from);
+}
+
+/// Asks for a level of each page of these rows, much earlier: where a page is takes longest to find.
+#[inline(always)]
+fn fetch_pages(image: &Image, rows: std::ops::Range<usize>) {
+    for from in (rows.start * image.width()..rows.end * image.width()).step_by(PAGE) {
+        fetch(image.levels(), from);
+    }
 }
 
 /// `Rows::sum` for images of so many whole chunks; `false` if these are not as many.
@@ -465,7 +467,7 @@ fn sum_fixed<S: Sums, const CHUNKS: usize>(
         return false;
     };
     for k in 0..CHUNKS {
-        fetch(image, v * CHUNKS * LANES + k * STEP * GROUP * LANES);
+        fetch_ahead(image, v * CHUNKS * LANES + k * STEP * GROUP * LANES);
         sum::<S>(std::array::from_fn(|i| &rows[i][k]), &mut pairs[k].0, [&mut upper[k], &mut lower[k]]);
     }
     true

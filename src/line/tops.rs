@@ -1,6 +1,6 @@
 //! The strongest ridge of every column with its peak, 32 columns at once: what most columns of most images need.
 
-use super::gauss::{self, Noise, OFFSET_MAX, Sensor, centroid5, gauss5};
+use super::gauss::{self, Noise, OFFSET_MAX, Sensor, centroid5};
 use super::lanes::{LANES, Lanes, Work, bits, lanes_at};
 use super::ridge::{Found, GROUP, Grid};
 use super::scan::{Limits, NOTHING};
@@ -98,10 +98,10 @@ impl Tops {
     /// whether that is 0, 1 or 2 rows down from the first of them. Loops without branches: compilers make vectors of them.
     #[inline(always)]
     fn place(&mut self, window: &Window, groups: &Lanes<u16>, gap: usize) -> ([Lanes<u8>; gauss::SIZE], Lanes<u8>) {
-        let all = &window.rows[..(2 * gap + 1) * GROUP];
+        let all = window.rows[..2 * gap + 1].as_flattened();
         let (above, below) = (&all[..GROUP], &all[2 * gap * GROUP..][..GROUP]);
         let rows = &all[gap * GROUP - MARGIN..][..SIZE];
-        let mut in_window = [0u16; LANES];
+        let mut in_window = [0u8; LANES];
         for i in 0..LANES {
             let at = |k: usize| u16::from(rows[k][i]);
             let (a, b, c) = (at(MARGIN - 1), at(MARGIN), at(MARGIN + 1));
@@ -115,7 +115,7 @@ impl Tops {
                 u16::from(side[0][i]) + u16::from(side[1][i]) + u16::from(side[2][i]) + u16::from(side[3][i])
             };
             let (upper, lower) = (sum(above), sum(below));
-            in_window[i] = steps;
+            in_window[i] = steps as u8;
             self.row[i] = groups[i].wrapping_mul(GROUP as u16) + steps;
             // What is no ridge has no strength.
             self.strength[i] = if groups[i] == NOTHING { i16::MIN } else { top as i16 - upper.max(lower) as i16 };
@@ -125,7 +125,7 @@ impl Tops {
         let mut brightest = [0u8; LANES];
         for i in 0..LANES {
             // The ridge's row is MARGIN + steps; the brightest of it and its two neighbours, of equals the upper one.
-            let is = |steps: u16| 0u8.wrapping_sub(u8::from(in_window[i] == steps));
+            let is = |steps: u8| 0u8.wrapping_sub(u8::from(in_window[i] == steps));
             let (is0, is1, is2, is3) = (is(0), is(1), is(2), is(3));
             let pick = |k: usize| {
                 (rows[k][i] & is0) | (rows[k + 1][i] & is1) | (rows[k + 2][i] & is2) | (rows[k + 3][i] & is3)
@@ -203,10 +203,22 @@ fn offsets(
 ) -> (Lanes<f32>, Lanes<f32>) {
     let (mut offset, mut variance) = ([0.0; LANES], [0.0; LANES]);
     let mut is_dim = [0u8; LANES];
+    let (mut scale, mut ratio, mut logs) = ([0.0; LANES], [[0.0; LANES]; 4], [[0.0; LANES]; 4]);
+    for i in 0..LANES {
+        let five = [level[0][i], level[1][i], level[2][i], level[3][i], level[4][i]];
+        scale[i] = 1.0 / five[gauss::REACH];
+        [ratio[0][i], ratio[1][i], ratio[2][i], ratio[3][i]] = gauss::ratios(five, scale[i]);
+    }
+    for (logs, ratio) in logs.iter_mut().zip(&ratio) {
+        for i in 0..LANES {
+            logs[i] = gauss::ln(ratio[i]);
+        }
+    }
     for i in 0..LANES {
         let five = [level[0][i], level[1][i], level[2][i], level[3][i], level[4][i]];
         let noise = Noise { dark: look.sensor.dark(background[i]), shot: look.sensor.shot };
-        (offset[i], variance[i]) = gauss5(five, noise);
+        let of = |rows: &[Lanes<f32>; 4]| [rows[0][i], rows[1][i], rows[2][i], rows[3][i]];
+        (offset[i], variance[i]) = gauss::fit(scale[i], of(&ratio), of(&logs), noise);
         is_dim[i] = u8::from(gauss::is_dim(five, look.seen)) & is_there[i];
     }
     if is_dim != [0; LANES] {
@@ -221,13 +233,15 @@ fn offsets(
     (offset, variance)
 }
 
+/// A group's rows of 32 columns.
+type Rows = [Lanes<u8>; GROUP];
+
 /// Rows from the upper background box to the lower one, another group's in each of 32 columns.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Window {
-    rows: Vec<Lanes<u8>>,
-    /// The rows of several groups, and those moved by a step.
-    seen: Vec<Lanes<u8>>,
-    moved: Vec<Lanes<u8>>,
+    rows: Vec<Rows>,
+    /// The rows of several groups.
+    seen: Vec<Rows>,
 }
 
 impl Window {
@@ -236,10 +250,10 @@ impl Window {
     /// of two.
     #[inline(always)]
     fn read(&mut self, image: &Image, u: usize, groups: &Lanes<u16>, grid: &Grid) {
-        let size = (2 * grid.gap + 1) * GROUP;
-        let Self { rows, seen, moved } = self;
-        for rows in [&mut *rows, &mut *seen, &mut *moved] {
-            rows.resize(size + (SPAN - 1) * GROUP, [0; LANES]);
+        let size = 2 * grid.gap + 1;
+        let Self { rows, seen } = self;
+        for rows in [&mut *rows, &mut *seen] {
+            rows.resize(size + SPAN - 1, Rows::default());
         }
         let (mut left, mut is_first) = (*groups, true);
         loop {
@@ -259,30 +273,14 @@ impl Window {
                 more[i] = 0u8.wrapping_sub(u8::from(left[i] != NOTHING));
             }
             let mut deepest = 0;
-            for bit in [8, 4, 2, 1] {
-                let mut has = [0u8; LANES];
-                for i in 0..LANES {
-                    has[i] = 0u8.wrapping_sub(u8::from(steps[i] >= deepest + bit));
-                }
-                deepest += if bits(&has) != 0 { bit } else { 0 };
+            for i in 0..LANES {
+                deepest = deepest.max(steps[i]);
             }
             let from = (usize::from(first) - grid.gap) * GROUP * grid.width + u;
-            fill(&mut seen[..size + usize::from(deepest) * GROUP], &image.levels()[from..], grid.width);
+            fill(&mut seen[..size + usize::from(deepest)], &image.levels()[from..], grid.width);
             for bit in [8, 4, 2, 1] {
                 if deepest >= bit {
-                    let mut moves = [0u8; LANES];
-                    for i in 0..LANES {
-                        moves[i] = 0u8.wrapping_sub(u8::from(steps[i] & bit != 0));
-                    }
-                    let by = usize::from(bit) * GROUP;
-                    let needed = size + by - GROUP;
-                    let pairs = seen[..needed].iter().zip(&seen[by..by + needed]);
-                    for (new, (here, below)) in moved[..needed].iter_mut().zip(pairs) {
-                        for i in 0..LANES {
-                            new[i] = (here[i] & !moves[i]) | (below[i] & moves[i]);
-                        }
-                    }
-                    std::mem::swap(seen, moved);
+                    move_up(&mut seen[..size + 2 * usize::from(bit) - 1], &steps, bit);
                 }
             }
             if is_first && bits(&more) == 0 {
@@ -290,7 +288,7 @@ impl Window {
                 return;
             }
             is_first = false;
-            for (row, seen) in rows[..size].iter_mut().zip(&seen[..size]) {
+            for (row, seen) in rows[..size].as_flattened_mut().iter_mut().zip(seen.as_flattened()) {
                 for i in 0..LANES {
                     row[i] = (row[i] & !mask[i]) | (seen[i] & mask[i]);
                 }
@@ -299,9 +297,28 @@ impl Window {
     }
 }
 
-/// Reads rows of an image from the first of its levels on.
+/// Moves the columns whose `steps` have this bit up by so many groups.
 #[inline(always)]
-fn fill(rows: &mut [Lanes<u8>], levels: &[u8], width: usize) {
+fn move_up(groups: &mut [Rows], steps: &Lanes<u8>, bit: u8) {
+    let mut moves = [0u8; LANES];
+    for i in 0..LANES {
+        moves[i] = 0u8.wrapping_sub(u8::from(steps[i] & bit != 0));
+    }
+    let by = usize::from(bit);
+    for g in 0..groups.len() - by {
+        let below = groups[g + by];
+        for (here, below) in groups[g].iter_mut().zip(&below) {
+            for i in 0..LANES {
+                here[i] = (here[i] & !moves[i]) | (below[i] & moves[i]);
+            }
+        }
+    }
+}
+
+/// Reads groups of rows of an image from the first of its levels on.
+#[inline(always)]
+fn fill(groups: &mut [Rows], levels: &[u8], width: usize) {
+    let rows = groups.as_flattened_mut();
     if (rows.len() - 1) * width + LANES <= levels.len() {
         for (k, row) in rows.iter_mut().enumerate() {
             row.copy_from_slice(&levels[k * width..][..LANES]);
