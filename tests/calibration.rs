@@ -138,9 +138,8 @@ fn the_plane_on_the_arm_is_found_through_black_images_too() {
     assert!(plane["boards_seen"].as_u64() >= Some(13) && plane["stripes_used"].as_u64() >= Some(20), "{plane}");
     eprintln!("hand-eye: {} mm, held out {}", plane["residual"]["rms"], plane["holdout"]);
     assert!(number(&plane["residual"]["rms"]) <= 0.057, "{}", plane["residual"]);
-    assert!(number(&plane["holdout"]["boards_seen"]["rms"]) <= 0.27, "{}", plane["holdout"]);
-    // 0.335 mm; 0.31 is the figure to reach. Image 19, black but for the stripe, is 0.7 mm off through the arm alone.
-    assert!(number(&plane["holdout"]["all"]["rms"]) <= 0.34, "{}", plane["holdout"]);
+    assert!(number(&plane["holdout"]["boards_seen"]["rms"]) <= 0.25, "{}", plane["holdout"]);
+    assert!(number(&plane["holdout"]["all"]["rms"]) <= 0.31, "{}", plane["holdout"]);
     assert!(plane["parameters"]["hand_x_m"]["sigma"].as_f64() > Some(0.0));
     // The pattern alone is hardly ever crossed: without its margin most stripes lie outside the board, and too few are left.
     let inside = words[..6].iter().chain(&["--margin-mm", "0"]).chain(&HAND_EYE_BOARD).copied().collect::<Vec<_>>();

@@ -181,30 +181,26 @@ fn a_camera_calibrated_by_itself_goes_into_the_finder_with_its_correlations() {
         assert!(off.abs() < 4.0 * sigma(&with, name), "{name}: {off} ± {}", sigma(&with, name));
     }
 
-    // The same without the correlations is another calibration: they are not dropped on the way.
-    let names = ["f_mm", "scale_u", "k_per_mm2", "cu_px", "cv_px"];
-    let place = |name: &str| report["covariance"]["names"].as_array().unwrap().iter().position(|n| n == name).unwrap();
-    let entry = |a: &str, b: &str| report["covariance"]["rows"][place(a)][place(b)].as_f64().unwrap();
-    let strongest = names
-        .iter()
-        .flat_map(|a| names.iter().filter(move |b| a != *b).map(move |b| (a, b)))
-        .map(|(a, b)| (entry(a, b) / (entry(a, a) * entry(b, b)).sqrt()).abs())
-        .fold(0.0, f64::max);
-    assert!(strongest > 0.2, "{strongest}");
-    let mut alone = report.clone();
-    for row in alone["covariance"]["rows"].as_array_mut().unwrap().iter_mut().enumerate() {
-        let (i, row) = row;
+    // What goes together there goes together here. These five are nearly independent (|r| < 0.3): made to hang together.
+    let correlation = |json: &Value, a: &str, b: &str| {
+        let block = &json["covariance"];
+        let place = |name: &str| block["names"].as_array().unwrap().iter().position(|n| n == name).unwrap();
+        let entry = |a: &str, b: &str| block["rows"][place(a)][place(b)].as_f64().unwrap();
+        ((place(a), place(b)), entry(a, b) / (entry(a, a) * entry(b, b)).sqrt())
+    };
+    let ((f, su), seen_by_camera) = correlation(&report, "f_mm", "scale_u");
+    let found = correlation(&with, "f_mm", "scale_u").1;
+    assert!(seen_by_camera.abs() < 0.3 && found.abs() < 0.3, "{seen_by_camera} {found}");
+    let mut hanging = report.clone();
+    let both = json!(0.95 * sigma(&report, "f_mm") * sigma(&report, "scale_u"));
+    let rows = hanging["covariance"]["rows"].as_array_mut().unwrap();
+    for (i, row) in rows.iter_mut().enumerate() {
         row.as_array_mut().unwrap().iter_mut().enumerate().filter(|(j, _)| *j != i).for_each(|(_, x)| *x = json!(0.0));
     }
-    fs::write(&file, alone.to_string()).unwrap();
-    let without = calibrated(&slits, &dir.path().join("without"));
-    let changed = |name: &str| sigma(&without, name) / sigma(&with, name) - 1.0;
-    eprintln!(
-        "strongest correlation {strongest:.3}; σ without: f {:+.3}, k {:+.3}",
-        changed("f_mm"),
-        changed("k_per_mm2")
-    );
-    assert!(names.iter().any(|name| changed(name).abs() > 0.02));
+    (rows[f][su], rows[su][f]) = (both.clone(), both);
+    fs::write(&file, hanging.to_string()).unwrap();
+    let found = correlation(&calibrated(&slits, &dir.path().join("hanging")), "f_mm", "scale_u").1;
+    assert!((0.9..0.97).contains(&found), "{found}");
 
     let refused = |report: Value, words: &str| {
         fs::write(&file, report.to_string()).unwrap();
@@ -246,9 +242,9 @@ fn a_finder_that_was_built_askew_is_found_from_its_images() {
     // wrong in the bundle's model shows here.
     let nominal = Rig::metro_i();
     let moved = [
-        ("roll_rad", 0.012),
-        ("pan_rad", -0.015),
-        ("slit_roll_rad", 0.009),
+        ("roll_rad", 0.025),
+        ("pan_rad", -0.03),
+        ("slit_roll_rad", 0.02),
         ("x0_m", 0.015),
         ("tilt_rad", 0.008),
         ("camera_height_m", -0.012),
@@ -314,8 +310,8 @@ fn a_finder_that_was_built_askew_is_found_from_its_images() {
         let off = found.value - drawn[name] - by;
         eprintln!("{name:16} moved by {by:+.4}, found to {off:+.5} ± {:.5}", found.sigma);
         assert!(off.abs() < 4.0 * found.sigma, "{name}: off by {off} ± {}", found.sigma);
-        // A wrong sign would be off by twice what it was moved by: by more than ten of its σ.
-        assert!(5.0 * found.sigma < by.abs() && fit.held[name] == Held::Data, "{name}: ± {}", found.sigma);
+        // A wrong sign would be off by twice what it was moved by.
+        assert!(6.0 * found.sigma < by.abs() && fit.held[name] == Held::Data, "{name}: ± {}", found.sigma);
     }
 }
 

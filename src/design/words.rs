@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
+use super::Design;
 use super::budget::{Row, TERMS};
 use super::light::Reach;
-use super::Design;
 use crate::optics::Laser;
 
 /// Where silicon sees [nm].

@@ -57,9 +57,8 @@ impl RigCovariance {
     pub fn of(names: &[&str], matrix: &DMatrix<f64>) -> Self {
         let open: Vec<usize> = (0..names.len()).filter(|&i| matrix[(i, i)] != 0.0).collect();
         // Rounding must not make it less symmetric than it is.
-        let row = |i: &usize| -> Vec<f64> {
-            open.iter().map(|j| (matrix[(*i, *j)] + matrix[(*j, *i)]) / 2.0).collect()
-        };
+        let row =
+            |i: &usize| -> Vec<f64> { open.iter().map(|j| (matrix[(*i, *j)] + matrix[(*j, *i)]) / 2.0).collect() };
         let matrix: Vec<Vec<f64>> = open.iter().map(row).collect();
         if matrix.iter().flatten().any(|entry| !entry.is_finite()) {
             return Self::default();

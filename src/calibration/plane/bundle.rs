@@ -41,6 +41,10 @@ const BOARDS_FOR_CAMERA: usize = 4;
 const POINTS_MAX: usize = 48;
 /// What a whole stripe is taken to be off by, standard deviation [px], until the data tell, or where they cannot.
 const WHOLE_PX: f64 = 0.2;
+/// From so many stripes on the data tell.
+const STRIPES_FOR_WHOLE: usize = 10;
+/// What fewer are taken to be off by while the plane is found [px].
+const WHOLE_PX_FEW: f64 = 0.05;
 /// It is never taken to be less [px].
 const WHOLE_PX_MIN: f64 = 0.01;
 /// Errors that the data must hold for their standard deviation to be found.
@@ -142,7 +146,24 @@ impl Bundle {
         Self { camera, members, hand_eye, params, whitening: None, sigmas }
     }
 
+    /// The fit. With few stripes, what they are off by as a whole cannot be told from where the plane is: the plane is then
+    /// found with stripes taken as nearly right, and its error bars with what they seem to be off by.
     pub fn solved(mut self, start: &Plane<CameraFrame>) -> Result<PlaneFit> {
+        let stripes = self.members.iter().filter(|m| !m.points.is_empty()).count();
+        if stripes >= STRIPES_FOR_WHOLE {
+            return self.settled(start, true);
+        }
+        let open = Self::new(self.camera, self.members.clone(), self.hand_eye, self.params).settled(start, true)?;
+        self.sigmas.whole_px = WHOLE_PX_FEW;
+        let mut fit = self.settled(start, false)?;
+        fit.covariance = open.covariance;
+        fit.solution.covariance = open.solution.covariance;
+        fit.whole_sigma_px = open.whole_sigma_px;
+        Ok(fit)
+    }
+
+    /// Fits, and finds the standard deviations (that of whole stripes only if `whole`), in turn until they stay the same.
+    fn settled(mut self, start: &Plane<CameraFrame>, whole: bool) -> Result<PlaneFit> {
         let mut parameters = self.parameters(start);
         let options = Options { noise: Noise::Known(1.0), fall_min: 1e-9, ..Options::default() };
         for round in 0..ROUNDS_MAX {
@@ -156,7 +177,10 @@ impl Bundle {
                 minimise_with(&parameters, &residuals, &jacobian, &options).map_err(|fault| reasoned(fault.found))?
             };
             parameters.iter_mut().zip(&fit.values).for_each(|(p, v)| p.start = *v);
-            let found = self.sigmas_from(&fit);
+            let mut found = self.sigmas_from(&fit);
+            if !whole {
+                found.whole_px = self.sigmas.whole_px;
+            }
             let settled = round > 1 && found.near(&self.sigmas);
             if settled || round + 1 == ROUNDS_MAX {
                 let fit = fit.full_rank().map_err(|fault| reasoned(fault.found))?;
