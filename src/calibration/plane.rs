@@ -7,8 +7,10 @@
 
 mod bundle;
 mod carried;
+mod cut;
 mod holdout;
 mod page;
+mod spread;
 mod start;
 
 use nalgebra::{Isometry3, Matrix3xX, Vector3};
@@ -28,7 +30,8 @@ use super::stripe::Stripe;
 use crate::fault::{Fault, Result, number_within};
 use crate::geometry::{Camera as CameraFrame, Plane, Point};
 use crate::optics::{Camera, PlaneLaser, RigCovariance};
-use bundle::{Bundle, Member, crossing, from_crossing, place};
+use bundle::{Bundle, Member, place};
+use cut::{crossing, from_crossing};
 use start::{first_of_all, first_plane};
 
 /// How a laser plane is calibrated.
@@ -310,6 +313,8 @@ impl PlaneFit {
     }
 }
 
+/// All stripes together fit as well as a robust choice of them if their middle one is off by less than this many times its.
+const AS_WELL: f64 = 1.2;
 /// Rounds of choosing the stripes that fit.
 const ROUNDS_MAX: usize = 8;
 
@@ -341,7 +346,7 @@ pub fn calibrate(camera: &Camera, frames: &[Frame], params: &PlaneParams) -> Res
     // the others well. A stray one would show in that the robust half fits much better without it.
     let together = first_of_all(&camera, &seek.members).and_then(|start| seek.settled(start));
     let settled = match (robust, together) {
-        (Ok(robust), Ok(all)) if all.left_out.is_empty() && all.middle_px < 2.0 * robust.middle_px => all,
+        (Ok(robust), Ok(all)) if all.left_out.is_empty() && all.middle_px < AS_WELL * robust.middle_px => all,
         (Ok(robust), _) => robust,
         (Err(fault), _) => return Err(fault),
     };

@@ -9,8 +9,10 @@
 //! or its board bent: the same for all its points, so that no number of them averages it away. Without it a few long, sharp stripes
 //! would get all the weight.
 
-use nalgebra::{DMatrix, Isometry3, Matrix3xX, Matrix4, Vector2, Vector3};
+use nalgebra::{DMatrix, Isometry3, Matrix3xX, Matrix4, Vector3};
 
+use super::cut::{crossing, from_crossing};
+use super::spread::{Sigmas, Spread};
 use super::{Board, Frame, FrameFit, PlaneFit, PlaneParams, met};
 use crate::calibration::hand_eye::HandEye;
 use crate::calibration::points::Mark;
@@ -42,13 +44,11 @@ const POINTS_MAX: usize = 48;
 /// What a whole stripe is taken to be off by, standard deviation [px], until the data tell, or where they cannot.
 const WHOLE_PX: f64 = 0.2;
 /// From so many stripes on the data tell.
-const STRIPES_FOR_WHOLE: usize = 10;
+const STRIPES_FOR_WHOLE: usize = 8;
 /// What fewer are taken to be off by while the plane is found [px].
 const WHOLE_PX_FEW: f64 = 0.05;
 /// It is never taken to be less [px].
 const WHOLE_PX_MIN: f64 = 0.01;
-/// Errors that the data must hold for their standard deviation to be found.
-const HELD_MIN: f64 = 1.0;
 /// Rounds of fitting and finding standard deviations.
 const ROUNDS_MAX: usize = 25;
 
@@ -104,29 +104,6 @@ impl Member {
     /// The standard deviation of one of them: together they hold as much as the independent ones.
     fn thinned_sigma_px(&self) -> f64 {
         self.sigma_px * (self.thinned().count() as f64 / self.independent).sqrt()
-    }
-}
-
-/// Standard deviations that the data tell.
-#[derive(Clone, Copy, Debug)]
-struct Sigmas {
-    corner_px: f64,
-    /// Stripe points are off by this many times what their own straight line says.
-    stripe: f64,
-    /// Stripes as a whole [px].
-    whole_px: f64,
-    arm_m: f64,
-    arm_rad: f64,
-}
-
-impl Sigmas {
-    fn near(&self, other: &Self) -> bool {
-        let near = |a: f64, b: f64| (a / b - 1.0).abs() < 0.01;
-        near(self.corner_px, other.corner_px)
-            && near(self.stripe, other.stripe)
-            && near(self.whole_px, other.whole_px)
-            && near(self.arm_m, other.arm_m)
-            && near(self.arm_rad, other.arm_rad)
     }
 }
 
@@ -492,28 +469,6 @@ impl Bundle {
     }
 }
 
-/// The standard deviation of errors that are parameters with mean 0, from their estimates.
-///
-/// An estimate is drawn to 0 the more, the less the data hold it: σ² = Σv²/Σ(1 − C/σ²) with its variance C (MacKay 1992), the
-/// fixed point of expectation and maximisation, reached in fewer rounds.
-#[derive(Clone, Copy, Default)]
-struct Spread {
-    squares: f64,
-    held: f64,
-}
-
-impl Spread {
-    fn add(&mut self, fit: &Solution, i: usize, sigma: f64) {
-        self.squares += fit.values[i].powi(2);
-        self.held += (1.0 - fit.covariance[(i, i)] / (sigma * sigma)).max(0.0);
-    }
-
-    /// `None` where the data hold none of them.
-    fn sigma(&self) -> Option<f64> {
-        (self.held > HELD_MIN).then(|| (self.squares / self.held).sqrt())
-    }
-}
-
 /// The parameters of frame `j`.
 fn own(p: &[f64], j: usize) -> &[f64] {
     let from = place::FRAMES + place::EACH * j;
@@ -523,26 +478,6 @@ fn own(p: &[f64], j: usize) -> &[f64] {
 /// The plane m·x = 1.
 fn plane_of(p: &[f64]) -> Vector3<f64> {
     Vector3::new(p[place::PLANE], p[place::PLANE + 1], p[place::PLANE + 2])
-}
-
-/// The line l·(x, y, 1) = 0 in which a camera without distortion sees plane (m·x = 1) and board cross, |l.xy| = 1.
-pub(super) fn crossing(board: &Isometry3<f64>, m: &Vector3<f64>) -> Option<Vector3<f64>> {
-    let normal = board.rotation * Vector3::z();
-    let offset = normal.dot(&board.translation.vector);
-    let line = m - normal / offset;
-    let size = line.xy().norm();
-    (offset.abs() > 1e-9 && size.is_finite() && size > 1e-12).then(|| line / size)
-}
-
-/// How far a pixel is from that line [px].
-pub(super) fn from_crossing(camera: &Camera, line: &Vector3<f64>, [u, v]: &[f64; 2]) -> Option<f64> {
-    Some(from_crossing_ray(camera, line, &camera.ray(*u, *v)?))
-}
-
-/// The same for a line of sight (x, y, 1).
-pub(super) fn from_crossing_ray(camera: &Camera, line: &Vector3<f64>, ray: &Vector3<f64>) -> f64 {
-    // The line in pixels: (line.x/fx)·u + (line.y/fy)·v + … = 0.
-    line.dot(ray) / Vector2::new(line.x / camera.fx, line.y / camera.fy).norm()
 }
 
 fn reasoned(found: String) -> Fault {

@@ -7,7 +7,8 @@
 
 use nalgebra::Vector3;
 
-use super::bundle::{Member, crossing, from_crossing_ray};
+use super::bundle::Member;
+use super::cut::{crossing, from_crossing_ray};
 use super::met;
 use crate::calibration::tsai::Shape;
 use crate::fault::{Fault, Result};
