@@ -20,7 +20,7 @@
 //! | 0 | fault geometry time |
 //! | 1 | image optics |
 //! | 2 | line world |
-//! | 3 | points robot |
+//! | 3 | points robot sonar |
 //! | 4 | maps scanner |
 //! | 5 | navigation |
 //! | 6 | pipeline |
@@ -29,7 +29,7 @@
 //! | 10 | cli |
 //! | 11 | main |
 //!
-//! Truth barrier: `line points maps navigation pipeline` never import `world robot scanner`. Up to `pipeline` there are
+//! Truth barrier: `line points maps navigation pipeline` never import `world robot scanner sonar`. Up to `pipeline` there are
 //! no files (but for the readers of worlds), no clocks, no printing, no unseeded randomness.
 //!
 //! # Frames and units
@@ -57,6 +57,7 @@ pub mod record;
 pub mod robot;
 pub mod scanner;
 pub mod sinks;
+pub mod sonar;
 pub mod sources;
 pub mod time;
 pub mod world;
