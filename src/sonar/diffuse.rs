@@ -4,8 +4,7 @@
 //! into each steradian, of which the transducer takes B²/r²: with dA = r²·dΩ/cosψ this is B⁴·s·(n+1)/2π·cosⁿψ·dΩ/r².
 //! Patches whose ways differ by more than half a ping do not overlap: each such layer is an echo of its own.
 
-use nalgebra::Complex;
-
+use super::beam::Share;
 use super::face::{Face, V3};
 use super::reflect::{Bounce, EchoKind};
 use super::sight::{End, before};
@@ -80,7 +79,7 @@ impl Footprint {
             body: face.body,
             way_m: 2.0 * (place - end.at).norm(),
             // A wave that comes straight from r has 2/r, so power 1/r² counts four times.
-            amplitude: Complex::new((4.0 * power).sqrt(), 0.0),
+            share: Share::whole((4.0 * power).sqrt()),
             place: before(&place, &(face.normal * side)),
         };
         layers.into_iter().map(echo).collect()
@@ -104,7 +103,7 @@ mod tests {
     }
 
     fn power(layers: &[Bounce]) -> f64 {
-        layers.iter().map(|l| l.amplitude.norm_sqr()).sum()
+        layers.iter().map(|l| l.share.total().norm_sqr()).sum()
     }
 
     #[test]

@@ -136,8 +136,8 @@ impl<'a> Search<'a> {
 
     fn try_feature(&self, ends: &Ends, feature: &Feature, gain: f64, surfaces: u8, out: &mut Vec<Heard>) {
         for mut bounce in bounces(self.it, ends, feature).into_iter().flatten() {
-            bounce.amplitude *= gain * self.mirror_loss(ends, &bounce);
-            if bounce.amplitude.norm() >= self.need.at(bounce.way_m)
+            bounce.share = bounce.share * (gain * self.mirror_loss(ends, &bounce));
+            if bounce.share.total().norm() >= self.need.at(bounce.way_m)
                 && ends.from.sees(self.targets, &bounce.place)
                 && (ends.same || ends.to.sees(self.targets, &bounce.place))
             {
@@ -161,7 +161,7 @@ impl<'a> Search<'a> {
             return;
         }
         for bounce in self.footprint.layers(self.it, end, face) {
-            if bounce.amplitude.norm() >= self.need.at(bounce.way_m) && end.sees(self.targets, &bounce.place) {
+            if bounce.share.total().norm() >= self.need.at(bounce.way_m) && end.sees(self.targets, &bounce.place) {
                 out.push(Heard { bounce, surfaces: 1 });
             }
         }

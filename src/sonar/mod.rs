@@ -21,6 +21,8 @@ mod hear;
 mod need;
 mod params;
 mod receive;
+#[cfg(test)]
+mod reference;
 mod reflect;
 mod ring;
 mod sight;

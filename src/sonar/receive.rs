@@ -2,6 +2,7 @@
 
 use nalgebra::Complex;
 
+use super::beam::Share;
 use super::transducer::Transducer;
 
 /// An echo as the receiver gets it.
@@ -11,6 +12,23 @@ pub(super) struct Pulse {
     pub start_s: f64,
     /// Amplitude and phase at the receiver.
     pub amplitude: Complex<f64>,
+}
+
+/// Parts of an echo that are nearer in way than this come at once [m].
+const AT_ONCE_M: f64 = 5e-4;
+
+/// The pulses of an echo that begins `start_s` after the start of the receiver's ping, and how long its way is. Air and the
+/// phase of the way come on top of its share.
+pub(super) fn pulses(it: &Transducer, share: &Share, way_m: f64, start_s: f64) -> impl Iterator<Item = Pulse> {
+    let carrier = Complex::from_polar(it.air_leaves(way_m), -it.wave_number * way_m);
+    let apart_s = share.apart_m / it.sound_m_s;
+    let parts = if share.apart_m < AT_ONCE_M {
+        [Complex::default(), share.total(), Complex::default()]
+    } else {
+        share.parts
+    };
+    let steps = [-apart_s, 0.0, apart_s].into_iter().zip(parts).filter(|(_, part)| part.norm_sqr() > 0.0);
+    steps.map(move |(step_s, part)| Pulse { start_s: start_s + step_s, amplitude: part * carrier })
 }
 
 /// Where the threshold was passed.

@@ -7,7 +7,7 @@
 
 use nalgebra::Complex;
 
-use super::beam::Bend;
+use super::beam::{Bend, Share};
 use super::face::{Face, V3};
 use super::feature::{Ball, Corner, Edge, Feature, Rim, Rod};
 use super::need::Need;
@@ -44,7 +44,7 @@ pub(super) struct Bounce {
     pub body: u32,
     /// Length of the whole way [m].
     pub way_m: f64,
-    pub amplitude: Complex<f64>,
+    pub share: Share,
     /// The place that is seen, a little before the surface.
     pub place: V3,
 }
@@ -91,10 +91,10 @@ pub(super) fn bounces(it: &Transducer, ends: &Ends, feature: &Feature) -> [Optio
 
 /// What the beam leaves of an echo from a place. `line` is the direction in which the target bends sound as `along` says
 /// and at right angles to which as `perp`.
-fn beam(it: &Transducer, ends: &Ends, views: &[View; 2], line: &V3, perp: Bend, along: Bend) -> Complex<f64> {
+fn beam(it: &Transducer, ends: &Ends, views: &[View; 2], line: &V3, perp: Bend, along: Bend) -> Share {
     let [a, b] = views;
     if !ends.same {
-        return Complex::new(it.piston.far(a.sin, a.cos) * it.piston.far(b.sin, b.cos), 0.0);
+        return Share::whole(it.piston.far(a.sin, a.cos) * it.piston.far(b.sin, b.cos));
     }
     // The way in which the axis leans, seen along the line of sight.
     let lean = (ends.from.axis - a.to * a.cos).try_normalize(1e-9).unwrap_or_else(V3::zeros);
@@ -121,12 +121,12 @@ fn wall(it: &Transducer, ends: &Ends, face: &Face) -> Option<Bounce> {
     }
     let bend = Bend::mirror(way_m / 2.0, f64::INFINITY);
     let mirrored = it.mirrored(face.roughness_m, (h + g) / way_m);
-    let amplitude = beam(it, ends, &views, &V3::zeros(), bend, bend) * (2.0 / way_m * mirrored);
+    let share = beam(it, ends, &views, &V3::zeros(), bend, bend) * (2.0 / way_m * mirrored);
     Some(Bounce {
         kind: EchoKind::Wall,
         body: face.body,
         way_m,
-        amplitude,
+        share,
         place: before(&foot, &(face.normal * side)),
     })
 }
@@ -191,18 +191,18 @@ fn edge(it: &Transducer, ends: &Ends, e: &Edge) -> Option<Bounce> {
     if phi.iter().any(|phi| *phi <= 0.0 || *phi >= free) {
         return None;
     }
-    let amplitude = bent(it, ends, &at, e.n, phi, 1.0, &e.along) * dulled(it, e.roughness_m);
+    let share = bent(it, ends, &at, e.n, phi, 1.0, &e.along) * dulled(it, e.roughness_m);
     let place = before(&at.place, &e.about(free / 2.0));
-    Some(Bounce { kind: EchoKind::Edge, body: e.body, way_m: at.way_m, amplitude, place })
+    Some(Bounce { kind: EchoKind::Edge, body: e.body, way_m: at.way_m, share, place })
 }
 
 /// What an edge sends; `spread` is the share of the power that its curvature leaves.
-fn bent(it: &Transducer, ends: &Ends, at: &OnLine, n: f64, phi: [f64; 2], spread: f64, line: &V3) -> Complex<f64> {
+fn bent(it: &Transducer, ends: &Ends, at: &OnLine, n: f64, phi: [f64; 2], spread: f64, line: &V3) -> Share {
     let [s, t] = at.views.map(|view| view.way_m);
     let about = About { n, phi, sin_beta: at.sin_beta, way_m: [s, t] };
     let r = (s + t) / 2.0;
     let beam = beam(it, ends, &at.views, line, Bend::mirror(r, 0.0), Bend::mirror(r, f64::INFINITY));
-    wedge::coefficient(it.wave_number, &about) * beam * at.left(it) * (2.0 * (spread / (s * t * (s + t))).sqrt())
+    beam * (wedge::coefficient(it.wave_number, &about) * at.left(it)) * (2.0 * (spread / (s * t * (s + t))).sqrt())
 }
 
 /// A rough edge is blurred like a rough wall under 45°.
@@ -236,9 +236,9 @@ fn rim(it: &Transducer, ends: &Ends, rim: &Rim) -> Option<Bounce> {
     }
     let outward = (out.dot(&-at.views[0].to) + out.dot(&-at.views[1].to)) / 2.0;
     let spread = rim.radius / (rim.radius + at.way_m / 2.0 * outward.max(0.0));
-    let amplitude = bent(it, ends, &at, 1.5, phi, spread, &line) * dulled(it, rim.roughness_m);
+    let share = bent(it, ends, &at, 1.5, phi, spread, &line) * dulled(it, rim.roughness_m);
     let free = (rim.axis + out).normalize();
-    Some(Bounce { kind: EchoKind::Edge, body: rim.body, way_m: at.way_m, amplitude, place: before(&at.place, &free) })
+    Some(Bounce { kind: EchoKind::Edge, body: rim.body, way_m: at.way_m, share, place: before(&at.place, &free) })
 }
 
 /// The mantle of a cylinder: a wall that curves away, √(Rc/(Rc + r)) of it there and back.
@@ -263,8 +263,8 @@ fn rod(it: &Transducer, ends: &Ends, rod: &Rod) -> Option<Bounce> {
     let r = (s + t) / 2.0;
     let (perp, along) = (Bend::mirror(r, rod.radius), Bend::mirror(r, f64::INFINITY));
     let beam = beam(it, ends, &views, &rod.along, perp, along);
-    let amplitude = beam * at.left(it) * (2.0 / s * spread.sqrt() * it.mirrored(rod.roughness_m, cos));
-    Some(Bounce { kind: EchoKind::Cylinder, body: rod.body, way_m: s + t, amplitude, place: before(&place, &out) })
+    let share = beam * at.left(it) * (2.0 / s * spread.sqrt() * it.mirrored(rod.roughness_m, cos));
+    Some(Bounce { kind: EchoKind::Cylinder, body: rod.body, way_m: s + t, share, place: before(&place, &out) })
 }
 
 /// A ball: a wall that curves away both ways, Rc/(Rc + r) of it there and back.
@@ -285,8 +285,8 @@ fn ball(it: &Transducer, ends: &Ends, ball: &Ball) -> Option<Bounce> {
     let spread: f64 = bow.iter().map(|rho| rho / (rho + t)).product();
     let bend = Bend::mirror((s + t) / 2.0, ball.radius);
     let beam = beam(it, ends, &views, &V3::zeros(), bend, bend);
-    let amplitude = beam * (2.0 / s * spread.sqrt() * it.mirrored(ball.roughness_m, cos));
-    Some(Bounce { kind: EchoKind::Sphere, body: ball.body, way_m: s + t, amplitude, place: before(&place, &out) })
+    let share = beam * (2.0 / s * spread.sqrt() * it.mirrored(ball.roughness_m, cos));
+    Some(Bounce { kind: EchoKind::Sphere, body: ball.body, way_m: s + t, share, place: before(&place, &out) })
 }
 
 /// The direction from the middle of a round body to where it mirrors a to b: that halves the angle between both ways.
@@ -309,7 +309,7 @@ fn corner(it: &Transducer, ends: &Ends, c: &Corner) -> [Option<Bounce>; 2] {
     let [first, second] = [[0, 1], [1, 0]].map(|order| twice(it, ends, c, order, &at));
     match (first, second) {
         (Some(a), Some(b)) if (a.way_m - b.way_m).abs() < 1e-4 => {
-            [Some(Bounce { amplitude: a.amplitude + b.amplitude, ..a }), None]
+            [Some(Bounce { share: a.share + b.share, ..a }), None]
         }
         both => both.into(),
     }
@@ -345,8 +345,8 @@ fn twice(it: &Transducer, ends: &Ends, c: &Corner, order: [usize; 2], at: &OnLin
     let beam = beam(it, ends, &views, &c.along, Bend::corner(r), Bend::mirror(r, f64::INFINITY));
     let mirrored: f64 = (0..2).map(|i| it.mirrored(c.roughness_m[i], c.normals[i].dot(&flat).abs())).product();
     let free = (c.into[0] + c.into[1]).normalize();
-    let amplitude = beam * at.left(it) * part * (2.0 / way_m * mirrored);
-    Some(Bounce { kind: EchoKind::Corner, body: c.body, way_m, amplitude, place: before(&at.place, &free) })
+    let share = beam * (at.left(it) * part) * (2.0 / way_m * mirrored);
+    Some(Bounce { kind: EchoKind::Corner, body: c.body, way_m, share, place: before(&at.place, &free) })
 }
 
 /// The image of `source` in the first and then the second face, seen from `receiver`: the place of the straight way to it

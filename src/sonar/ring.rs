@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Complex, Vector3};
+use nalgebra::Vector3;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -12,7 +12,7 @@ use super::diffuse::Footprint;
 use super::hear::{Heard, Search};
 use super::need::Need;
 use super::params::RingParams;
-use super::receive::{Pulse, crossings};
+use super::receive::{Pulse, crossings, pulses};
 use super::reflect::EchoKind;
 use super::sight::Aim;
 use super::targets::Targets;
@@ -186,50 +186,47 @@ impl Ring {
 
     fn ping(&mut self, stamp: Stamp, transducer: usize, aim: Aim, needs: &[Need], targets: &Targets) -> Ping {
         let mut echoes = Vec::new();
-        let mut pulses = Vec::new();
+        // Pulses, and which echo each is of.
+        let mut coming: Vec<(Pulse, usize)> = Vec::new();
         for (shot, need) in self.earlier.iter().zip(needs).filter(|(_, need)| !need.hopeless()) {
             let (it, footprint, order) = (&self.it, &self.footprint, self.params.order);
             let search = Search { it, footprint, targets, need, order };
             let delay_s = (stamp - shot.stamp).as_secs();
             for (source, from) in &shot.aims {
                 for heard in search.echoes(from, &aim) {
-                    let (echo, pulse) = self.received(&heard, delay_s, *source, shot.stamp != stamp);
-                    echoes.push(echo);
-                    pulses.push(pulse);
+                    let (way_m, share) = (heard.bounce.way_m, &heard.bounce.share);
+                    let start_s = way_m / it.sound_m_s - delay_s;
+                    coming.extend(pulses(it, share, way_m, start_s).map(|pulse| (pulse, echoes.len())));
+                    echoes.push(self.echo(&heard, start_s, *source, shot.stamp != stamp));
                 }
             }
         }
-        // The receiver takes them in the order of time; which is which is kept.
-        let mut order: Vec<usize> = (0..pulses.len()).collect();
-        order.sort_by(|a, b| pulses[*a].start_s.total_cmp(&pulses[*b].start_s).then(a.cmp(b)));
-        let sorted: Vec<Pulse> = order.iter().map(|i| pulses[*i]).collect();
+        coming.sort_by(|a, b| a.0.start_s.total_cmp(&b.0.start_s).then(a.1.cmp(&b.1)));
+        let sorted: Vec<Pulse> = coming.iter().map(|(pulse, _)| *pulse).collect();
         let found = crossings(&self.it, &sorted);
-        let causes = found.iter().map(|crossing| order[crossing.pulse]).collect();
+        let causes = found.iter().map(|crossing| coming[crossing.pulse].1).collect();
         let ranges_m = found.iter().map(|crossing| self.read(crossing.time_s)).collect();
         Ping { reading: Reading { stamp, transducer, ranges_m }, echoes, causes, aim }
     }
 
-    /// An echo at the receiver: what air left of it, and when it comes.
-    fn received(&self, heard: &Heard, delay_s: f64, source: usize, late: bool) -> (Echo, Pulse) {
+    /// An echo as it truly is, from when it begins after the start of the ping.
+    fn echo(&self, heard: &Heard, start_s: f64, source: usize, late: bool) -> Echo {
         let (it, bounce) = (&self.it, &heard.bounce);
-        let start_s = bounce.way_m / it.sound_m_s - delay_s;
-        let amplitude = bounce.amplitude * it.air_leaves(bounce.way_m);
+        let amplitude = bounce.share.total().norm() * it.air_leaves(bounce.way_m);
         let risen_s = (start_s + it.params.cycles / it.params.frequency_hz).max(it.params.blanking_s);
         let decibel = |share: f64| 20.0 * share.max(1e-30).log10();
-        let echo = Echo {
+        Echo {
             range_m: start_s * it.sound_m_s / 2.0,
             way_m: bounce.way_m,
-            level_db: decibel(amplitude.norm()),
-            margin_db: decibel(amplitude.norm() / it.threshold(risen_s)),
+            level_db: decibel(amplitude),
+            margin_db: decibel(amplitude / it.threshold(risen_s)),
             kind: bounce.kind,
             body: bounce.body as usize,
             place: bounce.place.into(),
             surfaces: heard.surfaces,
             source,
             late,
-        };
-        let phase = Complex::from_polar(1.0, -it.wave_number * bounce.way_m);
-        (echo, Pulse { start_s, amplitude: amplitude * phase })
+        }
     }
 
     /// A time of flight as the module reports it.
