@@ -1,5 +1,6 @@
 //! Maps: 3D occupancy, terrain mesh and plan view, behind one small interface.
 
+mod cone;
 mod grid;
 mod ground;
 mod key;
@@ -20,6 +21,7 @@ use crate::geometry::{Robot, Transform, World};
 use crate::image::{Drop, Dropped};
 use crate::points::Profile;
 
+pub use cone::{ConeParams, Evidence, evidence};
 pub use grid::{BLOCK, Block, Grid, GridParams, State};
 pub use ground::{Ground, Terrain, TerrainParams};
 pub use plan_view::PlanParams;

@@ -80,11 +80,14 @@ impl<'a> Search<'a> {
             };
             self.visit(&ends, |feature| {
                 let itself = match feature {
-                    Feature::Face(face) => face.id == mirror.id || self.targets.is_corner(face.id, mirror.id),
+                    Feature::Face(face) => {
+                        // What two faces of one corner send, the corner has already.
+                        face.id == mirror.id || surfaces == 2 && self.targets.is_corner(face.id, mirror.id)
+                    }
                     Feature::Corner(c) => c.faces.contains(&mirror.id),
                     Feature::Edge(e) => {
-                        mirror.height(&e.from).abs() < IN_MIRROR_M
-                            && mirror.height(&(e.from + e.along * e.length)).abs() < IN_MIRROR_M
+                        let far = e.from + e.along * e.length;
+                        [e.from, far].iter().all(|end| mirror.height(end).abs() < IN_MIRROR_M)
                     }
                     Feature::Rod(_) | Feature::Ball(_) | Feature::Rim(_) => false,
                 };

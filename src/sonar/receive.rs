@@ -22,11 +22,8 @@ const AT_ONCE_M: f64 = 5e-4;
 pub(super) fn pulses(it: &Transducer, share: &Share, way_m: f64, start_s: f64) -> impl Iterator<Item = Pulse> {
     let carrier = Complex::from_polar(it.air_leaves(way_m), -it.wave_number * way_m);
     let apart_s = share.apart_m / it.sound_m_s;
-    let parts = if share.apart_m < AT_ONCE_M {
-        [Complex::default(), share.total(), Complex::default()]
-    } else {
-        share.parts
-    };
+    let parts =
+        if share.apart_m < AT_ONCE_M { [Complex::default(), share.total(), Complex::default()] } else { share.parts };
     let steps = [-apart_s, 0.0, apart_s].into_iter().zip(parts).filter(|(_, part)| part.norm_sqr() > 0.0);
     steps.map(move |(step_s, part)| Pulse { start_s: start_s + step_s, amplitude: part * carrier })
 }

@@ -45,7 +45,10 @@ fn wall(d: f64) -> Body {
 /// An upright wall through the origin that faces along this bearing [rad].
 fn facing(bearing: f64) -> Body {
     let normal = V3::new(bearing.cos(), bearing.sin(), 0.0);
-    body(Shape::Plane, Isometry3::from_parts(V3::zeros().into(), UnitQuaternion::rotation_between(&V3::z(), &normal).unwrap()))
+    body(
+        Shape::Plane,
+        Isometry3::from_parts(V3::zeros().into(), UnitQuaternion::rotation_between(&V3::z(), &normal).unwrap()),
+    )
 }
 
 fn targets(bodies: Vec<Body>) -> Targets {
@@ -275,7 +278,8 @@ fn an_edge_is_the_sum_of_its_secondary_sources() {
     let side = 60.0;
     let block = Shape::Box { size: V3::repeat(side) };
     let world = targets(vec![body(block, Isometry3::translation(-side / 2.0, side / 2.0, 0.0))]);
-    for (s, turns) in [(0.5, &[-40, -17, 0, 6, 17, 22][..]), (1.5, &[-26, -8, 0, 14, 30, 40]), (5.0, &[-17, 0, 10, 33])] {
+    for (s, turns) in [(0.5, &[-40, -17, 0, 6, 17, 22][..]), (1.5, &[-26, -8, 0, 14, 30, 40]), (5.0, &[-17, 0, 10, 33])]
+    {
         // From the face y = 0 (towards −x) around by −y, x to y: 135° is head on, and 95° nearly square to the face.
         for phi in [135.0, 95.0, 110.0, 160.0_f64] {
             let phi = phi.to_radians();
@@ -370,7 +374,12 @@ fn a_cylinder_is_the_integral_over_its_lit_side() {
             let aim = looking(V3::new(r + radius, 0.0, 0.0), PI + f64::from(*deg).to_radians(), 0.0);
             let model = heard(&it, &world, &aim, EchoKind::Cylinder);
             assert!((model.bounce.way_m - 2.0 * r).abs() < 1e-9);
-            worst.note(held(&it, &format!("cylinder of {radius} m at {r} m, {deg}°"), &model, &lit_side(&it, &aim, radius)));
+            worst.note(held(
+                &it,
+                &format!("cylinder of {radius} m at {r} m, {deg}°"),
+                &model,
+                &lit_side(&it, &aim, radius),
+            ));
         }
         // The share that is left of a wall, head on: √(Rc/(Rc + r)).
         let aim = looking(V3::new(r + radius, 0.0, 0.0), PI, 0.0);

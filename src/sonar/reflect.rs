@@ -122,13 +122,7 @@ fn wall(it: &Transducer, ends: &Ends, face: &Face) -> Option<Bounce> {
     let bend = Bend::mirror(way_m / 2.0, f64::INFINITY);
     let mirrored = it.mirrored(face.roughness_m, (h + g) / way_m);
     let share = beam(it, ends, &views, &V3::zeros(), bend, bend) * (2.0 / way_m * mirrored);
-    Some(Bounce {
-        kind: EchoKind::Wall,
-        body: face.body,
-        way_m,
-        share,
-        place: before(&foot, &(face.normal * side)),
-    })
+    Some(Bounce { kind: EchoKind::Wall, body: face.body, way_m, share, place: before(&foot, &(face.normal * side)) })
 }
 
 /// A place on a line where the way is shortest, kept within the line's ends.

@@ -76,7 +76,7 @@ impl TransducerParams {
             ("rise_cycles", self.rise_cycles, 0.01, 20.0),
             ("blanking_s", self.blanking_s, 0.0, 0.05),
             ("threshold_db", self.threshold_db, -80.0, -6.0),
-            ("range_m_max", self.range_m_max, 0.5, 20.0),
+            ("range_m_max", self.range_m_max, 0.1, 20.0),
             ("separation_m", self.separation_m, 0.0, 1.0),
             ("range_sigma_m", self.range_sigma_m, 0.0, 0.1),
             ("range_sigma_share", self.range_sigma_share, 0.0, 0.1),
