@@ -94,9 +94,9 @@ impl Piston {
         self.most.get((sin.abs() * STEPS as f64) as usize).copied().unwrap_or(0.0)
     }
 
-    /// What nearness may add to B² at this distance [m].
-    pub fn fill(&self, r: f64) -> f64 {
-        0.1 * self.kaa_m / r
+    /// How much more than the bound's square nearness may leave at this distance [m].
+    pub fn near(&self, r: f64) -> f64 {
+        1.0 + 1.5 * self.kaa_m / r
     }
 
     /// What is left of a target's echo, averaged over all pairs of points of one piston that sends and receives. The
@@ -253,7 +253,7 @@ mod tests {
                 let wall = Bend::mirror(r, f64::INFINITY);
                 for bend in [wall, Bend::corner(r), Bend::mirror(r, 0.0)] {
                     let found = piston.both_ways(sin, cos, bend, wall).total().norm();
-                    let bound = piston.most(sin).powi(2) + piston.fill(r);
+                    let bound = piston.most(sin).powi(2) * piston.near(r);
                     assert!(found <= bound * 1.001, "{i} {r}: {found} {bound}");
                 }
             }

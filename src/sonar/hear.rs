@@ -4,7 +4,7 @@ use super::diffuse::Footprint;
 use super::face::{Face, V3};
 use super::feature::Feature;
 use super::need::Need;
-use super::reflect::{Bounce, Ends, bounces};
+use super::reflect::{Bounce, Ends, bounces, wall};
 use super::sight::{Aim, End};
 use super::targets::Targets;
 use super::transducer::Transducer;
@@ -33,6 +33,12 @@ pub(super) struct Search<'a> {
     pub order: u8,
 }
 
+/// A mirror, and the most that either beam leaves of anything in it.
+struct Mirror<'a> {
+    face: &'a Face,
+    most: [f64; 2],
+}
+
 impl<'a> Search<'a> {
     /// All echoes of a ping by `from` that `to` hears, in the order of their ways.
     pub fn echoes(&self, from: &Aim, to: &Aim) -> Vec<Heard> {
@@ -40,21 +46,16 @@ impl<'a> Search<'a> {
         let (a, b) = (End::straight(from), End::straight(to));
         let same = from == to;
         let direct = Ends { from: &a, to: &b, same, need: self.need };
-        let mut mirrors: Vec<&'a Face> = Vec::new();
         self.visit(&direct, |feature| {
             self.try_feature(&direct, feature, 1.0, 1, &mut out);
-            if let Feature::Face(face) = feature {
-                if same {
-                    self.rough(&a, face, &mut out);
-                }
-                if self.order > 1 && self.is_mirror(face, &direct) {
-                    mirrors.push(face);
-                }
+            if let Feature::Face(face) = feature
+                && same
+            {
+                self.rough(&a, face, &mut out);
             }
         });
-        mirrors.sort_unstable_by_key(|face| face.id);
-        for mirror in mirrors {
-            self.by_mirror(&direct, mirror, &mut out);
+        if self.order > 1 {
+            self.by_mirrors(&direct, &mut out);
         }
         out.sort_by(|x, y| {
             let key = |h: &Heard| (h.bounce.kind, h.bounce.body, h.surfaces);
@@ -63,45 +64,86 @@ impl<'a> Search<'a> {
         out
     }
 
-    /// What the transducers hear by one mirror: there, back, or both.
-    fn by_mirror(&self, direct: &Ends<'a>, mirror: &'a Face, out: &mut Vec<Heard>) {
-        let (a, b) = (direct.from.mirrored(mirror), direct.to.mirrored(mirror));
-        let ways = [
-            (Ends { from: &a, to: direct.to, same: false, need: self.need }, 2),
-            (Ends { from: direct.from, to: &b, same: false, need: self.need }, 2),
-            (Ends { from: &a, to: &b, same: direct.same, need: self.need }, 3),
-        ];
-        for (index, (ends, surfaces)) in ways.into_iter().enumerate() {
-            // One transducer hears the way there and the same way back at once.
-            let gain = match (direct.same, index) {
-                (true, 0) => 2.0,
-                (true, 1) => continue,
-                _ => 1.0,
-            };
-            self.visit(&ends, |feature| {
-                let itself = match feature {
-                    Feature::Face(face) => {
-                        // What two faces of one corner send, the corner has already.
-                        face.id == mirror.id || surfaces == 2 && self.targets.is_corner(face.id, mirror.id)
+    /// What is heard by one mirror. What is heard there straight and back by the mirror comes after the straight echo of the
+    /// same thing, so of such ways only those by strong things are looked for: faces, which may not be heard straight, and
+    /// corners.
+    fn by_mirrors(&self, direct: &Ends<'a>, out: &mut Vec<Heard>) {
+        let mirrors = self.mirrors(direct);
+        // A pair of beams that leaves less than this leaves no wall at all to be heard.
+        let least = self.need.ratio_min();
+        for mirror in &mirrors {
+            let (a, b) = (direct.from.mirrored(mirror.face), direct.to.mirrored(mirror.face));
+            let there = Ends { from: &a, to: direct.to, same: false, need: self.need };
+            for other in mirrors.iter().filter(|other| mirror.most[0] * other.most[1] >= least) {
+                self.two_mirrors(&there, mirror.face, other.face, out);
+            }
+            if mirror.most[0] * mirror.most[1] < least {
+                continue;
+            }
+            let back = Ends { from: direct.from, to: &b, same: false, need: self.need };
+            let both = Ends { from: &a, to: &b, same: direct.same, need: self.need };
+            self.visit(&both, |feature| {
+                if seen_anyway(mirror.face, feature) {
+                    return;
+                }
+                self.try_feature(&both, feature, 1.0, 3, out);
+                if let Feature::Corner(_) = feature {
+                    // One transducer hears the way there and the same way back at once.
+                    self.try_feature(&there, feature, if direct.same { 2.0 } else { 1.0 }, 2, out);
+                    if !direct.same {
+                        self.try_feature(&back, feature, 1.0, 2, out);
                     }
-                    Feature::Corner(c) => c.faces.contains(&mirror.id),
-                    Feature::Edge(e) => {
-                        let far = e.from + e.along * e.length;
-                        [e.from, far].iter().all(|end| mirror.height(end).abs() < IN_MIRROR_M)
-                    }
-                    Feature::Rod(_) | Feature::Ball(_) | Feature::Rim(_) => false,
-                };
-                if !itself {
-                    self.try_feature(&ends, feature, gain, surfaces, out);
                 }
             });
         }
     }
 
-    fn is_mirror(&self, face: &Face, ends: &Ends) -> bool {
-        let (h, g) = (face.height(&ends.from.at), face.height(&ends.to.at));
-        let before = if face.two_sided { h * g > 0.0 } else { h > 0.0 && g > 0.0 };
-        before && face.reach > MIRROR_M && self.it.mirrored(face.roughness_m, 1.0) > MIRROR_SHARE
+    /// The faces that mirror what either end sends.
+    fn mirrors(&self, direct: &Ends<'a>) -> Vec<Mirror<'a>> {
+        let mut out = Vec::new();
+        let (a, b) = (direct.from, direct.to);
+        let near = |low: &V3, high: &V3| {
+            let away = |end: &End| (low - end.at).sup(&(end.at - high)).sup(&V3::zeros()).norm();
+            away(a) + away(b) < self.need.way_m_max
+        };
+        for group in self.targets.groups() {
+            group.find(near, |feature| {
+                let Feature::Face(face) = feature else { return };
+                let (h, g) = (face.height(&a.at), face.height(&b.at));
+                let before = if face.two_sided { h * g > 0.0 } else { h > 0.0 && g > 0.0 };
+                if before && face.reach > MIRROR_M && self.it.mirrored(face.roughness_m, 1.0) > MIRROR_SHARE {
+                    let most = [a, b].map(|end| self.most_in(end, &face.centre, face.reach));
+                    out.push(Mirror { face, most });
+                }
+            });
+        }
+        out.sort_unstable_by_key(|mirror| mirror.face.id);
+        out
+    }
+
+    /// The way by one face and then another: a first look that costs little, since there are many pairs.
+    fn two_mirrors(&self, there: &Ends<'a>, first: &'a Face, second: &'a Face, out: &mut Vec<Heard>) {
+        if first.id == second.id {
+            return;
+        }
+        let image = second.mirror(&there.from.at);
+        let way = image - there.to.at;
+        let way_m = way.norm();
+        let cos = way.dot(&there.to.axis) / way_m;
+        if cos <= 0.0 || way_m >= self.need.way_m_max {
+            return;
+        }
+        // The way leaves towards the receiver's image in the second and then the first face.
+        let leaving = there.from.at - second.mirror(&there.to.at);
+        let other = -leaving.dot(&there.from.axis) / way_m;
+        let sin = |cos: f64| (1.0 - cos * cos).max(0.0).sqrt();
+        let most = self.it.piston.most(sin(cos)) * self.it.piston.most(sin(other));
+        if other > 0.0 && most * 2.0 / way_m >= self.need.at(way_m) && !self.targets.is_corner(first.id, second.id) {
+            // The same way backwards is another pair of mirrors.
+            if let Some(bounce) = wall(self.it, there, second) {
+                self.keep(there, bounce, 1.0, 2, out);
+            }
+        }
     }
 
     /// Calls `look` for each feature that both ends may hear of.
@@ -115,58 +157,80 @@ impl<'a> Search<'a> {
     /// Whether anything in a box may be heard.
     fn within(&self, ends: &Ends, low: &V3, high: &V3) -> bool {
         let (middle, ball) = ((low + high) / 2.0, (high - low).norm() / 2.0);
-        let mut least_m = 0.0;
-        let mut most_m = 0.0;
-        let mut gain = 1.0;
-        for end in [ends.from, ends.to] {
-            let nearest = (low - end.at).sup(&(end.at - high)).sup(&V3::zeros()).norm();
-            let way = middle - end.at;
-            let far = way.norm();
-            least_m += nearest;
-            most_m += far + ball;
-            if far > ball {
-                // The least angle off the axis of anything in the ball around the box.
-                let off = (way.dot(&end.axis) / far).clamp(-1.0, 1.0).acos() - (ball / far).asin();
-                if off >= std::f64::consts::FRAC_PI_2 {
-                    return false;
-                }
-                gain *= self.it.piston.most(off.max(0.0).sin());
-            }
+        let away = |end: &End| (low - end.at).sup(&(end.at - high)).sup(&V3::zeros()).norm();
+        let far = |end: &End| (middle - end.at).norm() + ball;
+        let (least_m, most_m, gain) = if ends.same {
+            let most = self.most_in(ends.from, &middle, ball);
+            let least_m = 2.0 * away(ends.from);
+            (least_m, 2.0 * far(ends.from), most * most * self.it.piston.near(least_m.max(0.02) / 2.0))
+        } else {
+            let gain = self.most_in(ends.from, &middle, ball) * self.most_in(ends.to, &middle, ball);
+            (away(ends.from) + away(ends.to), far(ends.from) + far(ends.to), gain)
+        };
+        least_m < self.need.way_m_max && gain * 2.0 >= self.need.least(most_m) * least_m
+    }
+
+    /// The most that the beam leaves of anything in a ball; 0 behind the baffle.
+    fn most_in(&self, end: &End, middle: &V3, radius: f64) -> f64 {
+        let way = middle - end.at;
+        let square = way.norm_squared();
+        if square <= radius * radius {
+            return 1.0;
         }
-        let fill = if ends.same { self.it.piston.fill(least_m.max(0.02) / 2.0) } else { 0.0 };
-        least_m < self.need.way_m_max && (gain + fill) * 2.0 / least_m.max(1e-3) >= self.need.least(most_m)
+        let far = square.sqrt();
+        // The least angle off the axis: that of the middle less that of the ball, by their sines and cosines.
+        let (cos, ball) = ((way.dot(&end.axis) / far).clamp(-1.0, 1.0), radius / far);
+        let (sin, rest) = ((1.0 - cos * cos).sqrt(), (1.0 - ball * ball).sqrt());
+        if cos >= rest {
+            return 1.0; // the axis runs through the ball
+        }
+        if cos * rest + sin * ball <= 0.0 { 0.0 } else { self.it.piston.most(sin * rest - cos * ball) }
     }
 
     fn try_feature(&self, ends: &Ends, feature: &Feature, gain: f64, surfaces: u8, out: &mut Vec<Heard>) {
-        for mut bounce in bounces(self.it, ends, feature).into_iter().flatten() {
-            bounce.share = bounce.share * (gain * self.mirror_loss(ends, &bounce));
-            if bounce.share.total().norm() >= self.need.at(bounce.way_m)
-                && ends.from.sees(self.targets, &bounce.place)
-                && (ends.same || ends.to.sees(self.targets, &bounce.place))
-            {
-                let surfaces = surfaces + u8::from(matches!(feature, Feature::Corner(_)));
-                out.push(Heard { bounce, surfaces });
-            }
+        for bounce in bounces(self.it, ends, feature).into_iter().flatten() {
+            self.keep(ends, bounce, gain, surfaces + u8::from(matches!(feature, Feature::Corner(_))), out);
+        }
+    }
+
+    /// Keeps a bounce if it is strong enough, and if nothing stands in its way.
+    fn keep(&self, ends: &Ends, mut bounce: Bounce, gain: f64, surfaces: u8, out: &mut Vec<Heard>) {
+        bounce.share = bounce.share * (gain * self.mirror_loss(ends, &bounce));
+        if bounce.share.total().norm() >= self.need.at(bounce.way_m)
+            && ends.from.sees(self.targets, &bounce.place)
+            && (ends.same || ends.to.sees(self.targets, &bounce.place))
+        {
+            out.push(Heard { bounce, surfaces });
         }
     }
 
     /// What rough mirrors on the way leave.
     fn mirror_loss(&self, ends: &Ends, bounce: &Bounce) -> f64 {
         let loss = |end: &End| {
-            end.mirror
-                .map_or(1.0, |face| self.it.mirrored(face.roughness_m, end.mirror_cos(&end.view(&bounce.place).to)))
+            let cos = |face: &Face| face.normal.dot(&end.view(&bounce.place).to).abs();
+            end.mirror.map_or(1.0, |face| self.it.mirrored(face.roughness_m, cos(face)))
         };
         loss(ends.from) * loss(ends.to)
     }
 
     fn rough(&self, end: &End, face: &Face, out: &mut Vec<Heard>) {
-        if face.roughness_m <= 0.0 {
-            return;
-        }
         for bounce in self.footprint.layers(self.it, end, face) {
             if bounce.share.total().norm() >= self.need.at(bounce.way_m) && end.sees(self.targets, &bounce.place) {
                 out.push(Heard { bounce, surfaces: 1 });
             }
         }
+    }
+}
+
+/// Whether a feature lies in the mirror itself.
+fn seen_anyway(mirror: &Face, feature: &Feature) -> bool {
+    match feature {
+        Feature::Face(face) => face.id == mirror.id,
+        Feature::Corner(c) => c.faces.contains(&mirror.id),
+        Feature::Edge(e) => {
+            let far = e.from + e.along * e.length;
+            [e.from, far].iter().all(|end| mirror.height(end).abs() < IN_MIRROR_M)
+        }
+        Feature::Rod(_) | Feature::Ball(_) | Feature::Rim(_) => false,
     }
 }

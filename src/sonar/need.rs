@@ -12,6 +12,7 @@ pub(super) struct Need {
     table: Vec<f64>,
     /// The least up to each cell.
     least: Vec<f64>,
+    ratio_min: f64,
     /// The longest way that matters [m].
     pub way_m_max: f64,
 }
@@ -36,7 +37,9 @@ impl Need {
             Some(*least)
         });
         let least = least.collect();
-        Self { table, least, way_m_max }
+        let ratio = |(i, need): (usize, &f64)| need * (i as f64 * CELL_M).max(CELL_M) / 2.0;
+        let ratio_min = table.iter().enumerate().map(ratio).fold(f64::INFINITY, f64::min);
+        Self { table, least, ratio_min, way_m_max }
     }
 
     /// What an echo by a way of this length [m] needs.
@@ -50,9 +53,14 @@ impl Need {
         self.least.get((way_m / CELL_M) as usize).copied().unwrap_or(last)
     }
 
+    /// What is the least share of a wall's echo that is heard anywhere.
+    pub fn ratio_min(&self) -> f64 {
+        self.ratio_min
+    }
+
     /// Whether even a wall square to the beam can be heard.
     pub fn hopeless(&self) -> bool {
-        self.table.iter().enumerate().all(|(i, need)| 2.0 / (i as f64 * CELL_M).max(CELL_M) < *need)
+        self.ratio_min > 1.0
     }
 }
 

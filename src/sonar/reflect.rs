@@ -71,8 +71,8 @@ impl Ends<'_> {
         if a.cos <= 0.0 || b.cos <= 0.0 {
             return true;
         }
-        let fill = if self.same { it.piston.fill(way_m / 2.0) } else { 0.0 };
-        let most = it.piston.most(a.sin) * it.piston.most(b.sin) + fill;
+        let near = if self.same { it.piston.near(way_m / 2.0) } else { 1.0 };
+        let most = it.piston.most(a.sin) * it.piston.most(b.sin) * near;
         most * gain * 2.0 / way_m < self.need.at(way_m)
     }
 }
@@ -103,7 +103,7 @@ fn beam(it: &Transducer, ends: &Ends, views: &[View; 2], line: &V3, perp: Bend, 
 }
 
 /// A mirror: the image source, at its full strength wherever the foot is on the face (its edges do the rest).
-fn wall(it: &Transducer, ends: &Ends, face: &Face) -> Option<Bounce> {
+pub(super) fn wall(it: &Transducer, ends: &Ends, face: &Face) -> Option<Bounce> {
     let side = if face.two_sided { face.height(&ends.from.at).signum() } else { 1.0 };
     let (h, g) = (face.height(&ends.from.at) * side, face.height(&ends.to.at) * side);
     if h <= 0.0 || g <= 0.0 {

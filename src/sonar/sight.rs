@@ -70,11 +70,6 @@ impl<'a> End<'a> {
         let lifted = bounce + face.normal * (STEP_M * side.signum());
         face.holds(&bounce) && clear(self.real, lifted) && clear(lifted, *place)
     }
-
-    /// The cosine of incidence on the mirror of the way to a place; 1 without a mirror.
-    pub fn mirror_cos(&self, to: &V3) -> f64 {
-        self.mirror.map_or(1.0, |face| face.normal.dot(to).abs())
-    }
 }
 
 /// A place moved off its surface, to the free side.

@@ -16,6 +16,11 @@ const GAIN_STEPS_S: [f64; 10] =
 /// The last step has no end; it is set for one more of the length of its predecessor.
 const LAST_STEP_S: f64 = 43.53e-3;
 
+/// Time constants after the end of a ping in which its tail still counts.
+const TAIL: f64 = 8.0;
+/// Steps of the table of the envelope.
+const ENVELOPE_STEPS: usize = 2048;
+
 /// What a transducer and its electronics are made of (`instrument.md` 6).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -43,8 +48,8 @@ pub struct TransducerParams {
     pub range_sigma_share: f64,
     /// Share of what a rough surface does not mirror that comes back at all, c_s, 0 to 1 [A].
     pub diffuse_share: f64,
-    /// Power n of the cosine that it is spread with; 1 is Lambert's [A].
-    pub diffuse_power: f64,
+    /// Length over which a rough surface's heights have to do with one another [m]: a wavelength [A].
+    pub correlation_m: f64,
 }
 
 impl Default for TransducerParams {
@@ -61,7 +66,7 @@ impl Default for TransducerParams {
             range_sigma_m: 0.003,
             range_sigma_share: 0.003,
             diffuse_share: 1.0,
-            diffuse_power: 1.0,
+            correlation_m: 0.007,
         }
     }
 }
@@ -81,7 +86,7 @@ impl TransducerParams {
             ("range_sigma_m", self.range_sigma_m, 0.0, 0.1),
             ("range_sigma_share", self.range_sigma_share, 0.0, 0.1),
             ("diffuse_share", self.diffuse_share, 0.0, 1.0),
-            ("diffuse_power", self.diffuse_power, 0.0, 20.0),
+            ("correlation_m", self.correlation_m, 1e-4, 1.0),
         ] {
             number_within(&format!("transducer.{what}"), value, low, high)?;
         }
@@ -109,6 +114,8 @@ pub(super) struct Transducer {
     /// Length of a ping, and time constant of its rise [s].
     ping_s: f64,
     rise_s: f64,
+    /// The envelope at equal steps over `echo_s`.
+    envelope: Vec<f64>,
 }
 
 impl Transducer {
@@ -129,6 +136,11 @@ impl Transducer {
         };
         let ends = GAIN_STEPS_S.iter().map(|end| (detected(*end), *end));
         let steps = ends.chain([(detected(LAST_STEP_S), f64::INFINITY)]).collect();
+        let (ping_s, rise_s) = (params.cycles / params.frequency_hz, params.rise_cycles / params.frequency_hz);
+        let step_s = (ping_s + TAIL * rise_s) / ENVELOPE_STEPS as f64;
+        let rise = |t: f64| if t > 0.0 { 1.0 - (1.0 + t) * (-t).exp() } else { 0.0 };
+        let at = |t: f64| rise(t / rise_s) - rise((t - ping_s) / rise_s);
+        let envelope = (0..=ENVELOPE_STEPS).map(|i| at(i as f64 * step_s)).collect();
         Ok(Self {
             params,
             wave_number,
@@ -136,8 +148,9 @@ impl Transducer {
             absorption_db_m: air.absorption_db_m(params.frequency_hz),
             piston: Piston::new(wave_number, params.radius_m),
             steps,
-            ping_s: params.cycles / params.frequency_hz,
-            rise_s: params.rise_cycles / params.frequency_hz,
+            ping_s,
+            rise_s,
+            envelope,
         })
     }
 
@@ -156,13 +169,17 @@ impl Transducer {
 
     /// How long an echo lasts, with the tail that still counts [s].
     pub fn echo_s(&self) -> f64 {
-        self.ping_s + 8.0 * self.rise_s
+        self.ping_s + TAIL * self.rise_s
     }
 
     /// The envelope of an echo at this time after its beginning, 0 to 1: a box through two equal poles.
     pub fn envelope(&self, time_s: f64) -> f64 {
-        let rise = |t: f64| if t > 0.0 { 1.0 - (1.0 + t) * (-t).exp() } else { 0.0 };
-        rise(time_s / self.rise_s) - rise((time_s - self.ping_s) / self.rise_s)
+        let place = time_s / self.echo_s() * ENVELOPE_STEPS as f64;
+        let cell = place as usize; // nothing before the beginning: there the cell is 0 too
+        match (self.envelope.get(cell), self.envelope.get(cell + 1)) {
+            (Some(a), Some(b)) if place > 0.0 => a + (b - a) * (place - cell as f64),
+            _ => 0.0,
+        }
     }
 
     /// The share of an amplitude that air leaves over this way [m].
@@ -174,6 +191,15 @@ impl Transducer {
     pub fn mirrored(&self, roughness_m: f64, cos: f64) -> f64 {
         let phase = self.wave_number * roughness_m * cos;
         (-2.0 * phase * phase).exp()
+    }
+
+    /// The power n of the cosine with which such a surface spreads what it scatters. Gentle roughness keeps it near the
+    /// mirrored ray, within what its slopes σ·√2/ℓ or the extent ℓ of its bumps allow; a coarse one spreads it as Lambert has
+    /// it, n = 1 (after Beckmann and Spizzichino 1963, ch. 5, whose lobes exp(−tan²ψ/2m²) and exp(−(kℓ·sinψ)²) these are).
+    pub fn spread(&self, roughness_m: f64) -> f64 {
+        let slopes = 0.5 * (self.params.correlation_m / roughness_m).powi(2);
+        let bumps = 2.0 * (self.wave_number * self.params.correlation_m).powi(2);
+        1.0 + slopes.min(bumps)
     }
 
     /// The share of the power that such a surface scatters instead.
@@ -242,6 +268,8 @@ mod tests {
         assert!((20.0 * it.mirrored(5e-4, 1.0).log10() + 3.55).abs() < 0.02);
         assert!(it.mirrored(4e-3, 1.0) < 1e-6 && it.scattered(4e-3) > 0.999);
         assert!(it.mirrored(5e-4, 0.5) > it.mirrored(5e-4, 1.0));
+        // A painted wall keeps what it scatters within some 10°, a carpet spreads it.
+        assert!(it.spread(2e-4) > 75.0 && it.spread(4e-3) < 2.6 && it.spread(0.1) < 1.01);
     }
 
     #[test]
