@@ -121,11 +121,11 @@ mod tests {
         mission: Vec<Goal>,
     }
 
-    /// The robot's pose at each time: along the goals at 0.2 m/s, turning on the spot at 0.5 rad/s.
+    /// The robot's pose at each time: along the goals at 0.1 m/s, turning on the spot at 0.165 rad/s.
     fn poses(goals: &[[f64; 2]], step_s: f64) -> Vec<Transform<World, Robot>> {
-        let (speed, rate) = (0.2, 0.5);
+        let (speed, rate) = (0.1, 0.165);
         let mut out = Vec::new();
-        let mut yaw = std::f64::consts::FRAC_PI_2;
+        let mut yaw = 0.0;
         for (from, to) in goals.iter().zip(goals.iter().cycle().skip(1)) {
             let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
             let turn = dy.atan2(dx) - yaw;
