@@ -8,10 +8,14 @@
 
 use nalgebra::Complex;
 
-use super::special::bessel_j1;
+use super::special::bessel;
 
 /// Terms of the coupling between both pistons: powers of x and of y.
 const ORDERS: [(usize, usize); 9] = [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (0, 2), (1, 2), (2, 2), (0, 4)];
+/// From this distance on the first order of nearness is enough: 0.3 dB off beside a null, less elsewhere [m]. (Nearness goes
+/// with k·a²/r: so for a piston of k·a² = 0.33 m; for others in proportion.)
+const FAR_M: f64 = 3.0;
+const FAR_KAA_M: f64 = 0.333;
 /// Steps of the table of B over sin θ.
 const STEPS: usize = 4096;
 
@@ -50,8 +54,8 @@ pub(super) struct Piston {
     ka: f64,
     /// k·a² [m].
     kaa_m: f64,
-    /// B at equal steps of sin θ from 0 to 1.
-    table: Vec<f64>,
+    /// B, B′ and B″ over u = ka·sin θ, at equal steps of sin θ from 0 to 1.
+    table: Vec<[f64; 3]>,
     /// The largest |B| from each step on.
     most: Vec<f64>,
     /// Chords x and weights of the Gauss–Chebyshev rule of the second kind, for x > 0.
@@ -61,8 +65,8 @@ pub(super) struct Piston {
 impl Piston {
     pub fn new(wave_number: f64, radius_m: f64) -> Self {
         let ka = wave_number * radius_m;
-        let table = (0..=STEPS + 1).map(|i| directivity(ka * i as f64 / STEPS as f64)).collect::<Vec<f64>>();
-        let mut most: Vec<f64> = table.iter().map(|b| b.abs()).collect();
+        let table = (0..=STEPS + 1).map(|i| directivity(ka * i as f64 / STEPS as f64)).collect::<Vec<_>>();
+        let mut most: Vec<f64> = table.iter().map(|[b, ..]| b.abs()).collect();
         for i in (0..=STEPS).rev() {
             most[i] = most[i].max(most[i + 1]);
         }
@@ -81,11 +85,17 @@ impl Piston {
         if cos <= 0.0 {
             return 0.0;
         }
+        self.derivatives(sin)[0]
+    }
+
+    /// B, B′ and B″ at this sin θ.
+    fn derivatives(&self, sin: f64) -> [f64; 3] {
         let place = sin.abs().min(1.0) * STEPS as f64;
         let cell = place as usize;
+        let part = place - cell as f64;
         match (self.table.get(cell), self.table.get(cell + 1)) {
-            (Some(a), Some(b)) => a + (b - a) * (place - cell as f64),
-            _ => 0.0,
+            (Some(a), Some(b)) => std::array::from_fn(|i| a[i] + (b[i] - a[i]) * part),
+            _ => [0.0; 3],
         }
     }
 
@@ -96,7 +106,7 @@ impl Piston {
 
     /// How much more than the bound's square nearness may leave at this distance [m].
     pub fn near(&self, r: f64) -> f64 {
-        1.0 + 1.5 * self.kaa_m / r
+        1.0 + 2.0 * self.kaa_m / r
     }
 
     /// What is left of a target's echo, averaged over all pairs of points of one piston that sends and receives. The
@@ -110,6 +120,11 @@ impl Piston {
         let tilt = cos * cos; // the piston is foreshortened within the plane of θ
         let (own_x, own_y) = (self.kaa_m * across.own * tilt, self.kaa_m * along.own);
         let (cross_x, cross_y) = (2.0 * self.kaa_m * across.cross * tilt, 2.0 * self.kaa_m * along.cross);
+        let lean_m = sin * self.kaa_m / self.ka;
+        // As far from a target as `FAR_M`, own is at most 1/2r.
+        if across.own.max(along.own) * self.kaa_m < 0.5 * FAR_KAA_M / FAR_M {
+            return self.from_afar(sin, u, [own_x, own_y], cross_x).with_lean(lean_m);
+        }
         let moments = self.moments(u, own_x, own_y);
         let moment = |p: usize, q: usize| ORDERS.iter().position(|o| *o == (p, q)).map_or(ZERO, |i| moments[i]);
         // exp(j·cross·x₁x₂) = Σ (j·cross)ⁿ/n!·x₁ⁿ·x₂ⁿ: each term is the square of a moment of one piston.
@@ -123,25 +138,34 @@ impl Piston {
             first += term * m * n * 2.0;
             second += term * (m * o + n * n) * 2.0;
         }
-        Share::new(whole, first, second, sin * self.kaa_m / self.ka)
+        Share::new(whole, first, second).with_lean(lean_m)
+    }
+
+    /// The same to the first order of nearness: with ⟨x²·e⟩ = −B″, ⟨y²·e⟩ = −B′/u and ⟨x·e⟩ = jB′ over one piston.
+    fn from_afar(&self, sin: f64, u: f64, own: [f64; 2], cross_x: f64) -> Share {
+        let [b, b1, b2] = self.derivatives(sin);
+        // Near u = 0, B = 1 − u²/8.
+        let b1_u = if u < 1e-3 { -0.25 } else { b1 / u };
+        let near = 2.0 * (own[0] * b2 + own[1] * b1_u) * b - cross_x * b1 * b1;
+        Share::new(
+            Complex::new(b * b, near),
+            Complex::new(0.0, 2.0 * b * b1),
+            Complex::new(-2.0 * (b2 * b + b1 * b1), 0.0),
+        )
     }
 
     /// ⟨xᵖ·y^q·exp(−j(u·x + own_x·x² + own_y·y²))⟩ over the unit disc for all `ORDERS`.
     fn moments(&self, u: f64, own_x: f64, own_y: f64) -> [Complex<f64>; 9] {
         let mut sums = [Complex::default(); 9];
         for &(x, weight) in &self.chords {
-            let bend = Complex::from_polar(2.0 * weight, -own_x * x * x);
+            let square = x * x;
+            let bend = small_turn(own_x * square) * (2.0 * weight);
             let (sin, cos) = (u * x).sin_cos();
             // Even powers of x keep the cosine of ±x, odd ones −j times the sine.
             let (even, odd) = (bend * cos, bend * Complex::new(0.0, -sin));
-            let h = 1.0 - x * x; // half a chord, squared
-            let chord = [0, 2, 4].map(|q| chord_mean(q, h, own_y));
-            let mut power = 1.0;
-            let mut powers = [0.0; 5];
-            for value in &mut powers {
-                *value = power;
-                power *= x;
-            }
+            let h = 1.0 - square; // half a chord, squared
+            let chord = [chord_mean(0.0, h, own_y), chord_mean(2.0, h, own_y) * h, chord_mean(4.0, h, own_y) * h * h];
+            let powers = [1.0, x, square, x * square, square * square];
             for (sum, (p, q)) in sums.iter_mut().zip(ORDERS) {
                 *sum += if p % 2 == 0 { even } else { odd } * chord[q / 2] * powers[p];
             }
@@ -166,9 +190,15 @@ pub(super) struct Share {
 const APART: f64 = 1.32;
 
 impl Share {
-    fn new(whole: Complex<f64>, first: Complex<f64>, second: Complex<f64>, lean_m: f64) -> Self {
+    /// From ⟨1⟩, ⟨s⟩ and ⟨s²⟩ of s = x₁ + x₂.
+    fn new(whole: Complex<f64>, first: Complex<f64>, second: Complex<f64>) -> Self {
         let (odd, even) = (first / (2.0 * APART), second / (2.0 * APART * APART));
-        Self { parts: [even - odd, whole - even * 2.0, even + odd], apart_m: APART * lean_m }
+        Self { parts: [even - odd, whole - even * 2.0, even + odd], apart_m: 0.0 }
+    }
+
+    /// For a piston whose edge leans so far out of its middle [m].
+    fn with_lean(self, lean_m: f64) -> Self {
+        Self { apart_m: APART * lean_m, ..self }
     }
 
     /// All of it at once.
@@ -205,18 +235,27 @@ impl std::ops::Mul<f64> for Share {
 
 const FACTORIAL: [f64; 5] = [1.0, 1.0, 2.0, 6.0, 24.0];
 
-/// The mean of y^q·exp(−j·own·y²) over |y| ≤ √h, for small `own`.
-fn chord_mean(q: i32, h: f64, own: f64) -> Complex<f64> {
-    let w = own * h;
-    let term = |n: i32| 1.0 / f64::from(q + 2 * n + 1);
-    let real = term(0) - w * w / 2.0 * term(2);
-    let imaginary = -w * term(1) + w * w * w / 6.0 * term(3);
-    Complex::new(real, imaginary) * h.powi(q / 2)
+/// exp(−jw) for |w| below 1 (7e-6 off at most).
+fn small_turn(w: f64) -> Complex<f64> {
+    let s = w * w;
+    Complex::new(1.0 - s / 2.0 * (1.0 - s / 12.0 * (1.0 - s / 30.0)), -w * (1.0 - s / 6.0 * (1.0 - s / 20.0)))
 }
 
-/// 2·J₁(x)/x.
-fn directivity(x: f64) -> f64 {
-    if x.abs() < 1e-6 { 1.0 } else { 2.0 * bessel_j1(x) / x }
+/// The mean of y^q·exp(−j·own·y²) over |y| ≤ √h, over h^(q/2), for small `own`.
+fn chord_mean(q: f64, h: f64, own: f64) -> Complex<f64> {
+    let w = own * h;
+    let real = 1.0 / (q + 1.0) - w * w / (2.0 * (q + 5.0));
+    let imaginary = -w / (q + 3.0) + w * w * w / (6.0 * (q + 7.0));
+    Complex::new(real, imaginary)
+}
+
+/// B = 2·J₁(x)/x, B′ = −2·J₂(x)/x and B″ = −2·J₁(x)/x + 6·J₂(x)/x².
+fn directivity(x: f64) -> [f64; 3] {
+    if x.abs() < 1e-3 {
+        return [1.0 - x * x / 8.0, -x / 4.0, -0.25];
+    }
+    let (j1, j2) = (bessel(1, x), bessel(2, x));
+    [2.0 * j1 / x, -2.0 * j2 / x, -2.0 * j1 / x + 6.0 * j2 / (x * x)]
 }
 
 #[cfg(test)]

@@ -112,7 +112,7 @@ mod tests {
         // Head on, Lambert, all scattered: 4·Ω/π/r², Ω = ∫B⁴dΩ. ∫(2J1(u)/u)⁴·u·du = 0.9212 over the main lobe (Simpson).
         let steps = 2000;
         let u = |i: usize| 3.8317 * i as f64 / steps as f64;
-        let f = |u: f64| if u == 0.0 { 0.0 } else { (2.0 * super::super::special::bessel_j1(u) / u).powi(4) * u };
+        let f = |u: f64| if u == 0.0 { 0.0 } else { (2.0 * super::super::special::bessel(1, u) / u).powi(4) * u };
         let simpson: f64 = (0..steps / 2).map(|i| f(u(2 * i)) + 4.0 * f(u(2 * i + 1)) + f(u(2 * i + 2))).sum::<f64>();
         let integral = simpson * 3.8317 / steps as f64 / 3.0;
         let ka = std::f64::consts::TAU * 49.4e3 / 343.29 * 0.0192;

@@ -31,6 +31,8 @@ pub(super) struct Search<'a> {
     pub need: &'a Need,
     /// Bounces of the longest ways: 1 or 2.
     pub order: u8,
+    /// How many times what a straight echo needs one by a mirror needs: weak ones are not added up.
+    pub ghost_times: f64,
 }
 
 /// A mirror, and the most that either beam leaves of anything in it.
@@ -45,7 +47,7 @@ impl<'a> Search<'a> {
         let mut out = Vec::new();
         let (a, b) = (End::straight(from), End::straight(to));
         let same = from == to;
-        let direct = Ends { from: &a, to: &b, same, need: self.need };
+        let direct = Ends { from: &a, to: &b, same, need: self.need, times: 1.0 };
         self.visit(&direct, |feature| {
             self.try_feature(&direct, feature, 1.0, 1, &mut out);
             if let Feature::Face(face) = feature
@@ -70,18 +72,19 @@ impl<'a> Search<'a> {
     fn by_mirrors(&self, direct: &Ends<'a>, out: &mut Vec<Heard>) {
         let mirrors = self.mirrors(direct);
         // A pair of beams that leaves less than this leaves no wall at all to be heard.
-        let least = self.need.ratio_min();
+        let (need, times) = (self.need, self.ghost_times);
+        let least = need.ratio_min() * times;
         for mirror in &mirrors {
             let (a, b) = (direct.from.mirrored(mirror.face), direct.to.mirrored(mirror.face));
-            let there = Ends { from: &a, to: direct.to, same: false, need: self.need };
+            let there = Ends { from: &a, to: direct.to, same: false, need, times };
             for other in mirrors.iter().filter(|other| mirror.most[0] * other.most[1] >= least) {
                 self.two_mirrors(&there, mirror.face, other.face, out);
             }
             if mirror.most[0] * mirror.most[1] < least {
                 continue;
             }
-            let back = Ends { from: direct.from, to: &b, same: false, need: self.need };
-            let both = Ends { from: &a, to: &b, same: direct.same, need: self.need };
+            let back = Ends { from: direct.from, to: &b, same: false, need, times };
+            let both = Ends { from: &a, to: &b, same: direct.same, need, times };
             self.visit(&both, |feature| {
                 if seen_anyway(mirror.face, feature) {
                     return;
@@ -157,6 +160,9 @@ impl<'a> Search<'a> {
     /// Whether anything in a box may be heard.
     fn within(&self, ends: &Ends, low: &V3, high: &V3) -> bool {
         let (middle, ball) = ((low + high) / 2.0, (high - low).norm() / 2.0);
+        if ends.same && !framed(ends.from, &middle, ball) {
+            return false;
+        }
         let away = |end: &End| (low - end.at).sup(&(end.at - high)).sup(&V3::zeros()).norm();
         let far = |end: &End| (middle - end.at).norm() + ball;
         let (least_m, most_m, gain) = if ends.same {
@@ -167,7 +173,7 @@ impl<'a> Search<'a> {
             let gain = self.most_in(ends.from, &middle, ball) * self.most_in(ends.to, &middle, ball);
             (away(ends.from) + away(ends.to), far(ends.from) + far(ends.to), gain)
         };
-        least_m < self.need.way_m_max && gain * 2.0 >= self.need.least(most_m) * least_m
+        least_m < self.need.way_m_max && gain * 2.0 >= self.need.least(most_m) * ends.times * least_m
     }
 
     /// The most that the beam leaves of anything in a ball; 0 behind the baffle.
@@ -196,7 +202,7 @@ impl<'a> Search<'a> {
     /// Keeps a bounce if it is strong enough, and if nothing stands in its way.
     fn keep(&self, ends: &Ends, mut bounce: Bounce, gain: f64, surfaces: u8, out: &mut Vec<Heard>) {
         bounce.share = bounce.share * (gain * self.mirror_loss(ends, &bounce));
-        if bounce.share.total().norm() >= self.need.at(bounce.way_m)
+        if bounce.share.total().norm() >= ends.needed(bounce.way_m)
             && ends.from.sees(self.targets, &bounce.place)
             && (ends.same || ends.to.sees(self.targets, &bounce.place))
         {
@@ -220,6 +226,25 @@ impl<'a> Search<'a> {
             }
         }
     }
+}
+
+/// Whether anything in a ball may be seen through the mirror of an end, as through a window.
+fn framed(end: &End, middle: &V3, radius: f64) -> bool {
+    let Some(face) = end.mirror else { return true };
+    // Behind the mirror, where the image of the transducer is, nothing is seen.
+    let side = face.height(&end.at);
+    if face.height(middle) * side.signum() >= radius {
+        return false;
+    }
+    let (to, frame) = (middle - end.at, face.centre - end.at);
+    let (far, away) = (to.norm(), frame.norm());
+    if far <= radius || away <= face.reach {
+        return true;
+    }
+    // The angle between both middles against the sum of both half angles, by cosines.
+    let (a, b) = (radius / far, face.reach / away);
+    let (c, d) = ((1.0 - a * a).sqrt(), (1.0 - b * b).sqrt());
+    to.dot(&frame) / (far * away) >= c * d - a * b - 1e-9
 }
 
 /// Whether a feature lies in the mirror itself.

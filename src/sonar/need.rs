@@ -77,7 +77,7 @@ mod tests {
         assert!(need.least(4.0) <= need.at(4.0) && need.least(1e9) <= need.at(20.0));
         assert!(!need.hopeless());
         // A ping 65 ms ago is past hearing, one 28 ms ago is not.
-        assert!(Need::new(&it, 0.065, 0.3).hopeless());
+        assert!(Need::new(&it, 0.065, 1.0).hopeless());
         assert!(!Need::new(&it, 0.028, 1.0).hopeless());
     }
 }

@@ -56,13 +56,19 @@ pub(super) struct Ends<'a> {
     pub to: &'a End<'a>,
     /// Both are one transducer, seen the same way.
     pub same: bool,
-    /// What an echo must have to be of any use.
+    /// What an echo must have to be of any use, and how many times that is asked for.
     pub need: &'a Need,
+    pub times: f64,
 }
 
 impl Ends<'_> {
     fn views(&self, place: &V3) -> [View; 2] {
         [self.from.view(place), self.to.view(place)]
+    }
+
+    /// The amplitude that an echo by a way of this length needs.
+    pub fn needed(&self, way_m: f64) -> f64 {
+        self.need.at(way_m) * self.times
     }
 
     /// Whether an echo that is `gain` of a wall's is lost in any case: behind a transducer, or too far off its axis.
@@ -73,7 +79,7 @@ impl Ends<'_> {
         }
         let near = if self.same { it.piston.near(way_m / 2.0) } else { 1.0 };
         let most = it.piston.most(a.sin) * it.piston.most(b.sin) * near;
-        most * gain * 2.0 / way_m < self.need.at(way_m)
+        most * gain * 2.0 / way_m < self.needed(way_m)
     }
 }
 
@@ -312,29 +318,22 @@ fn corner(it: &Transducer, ends: &Ends, c: &Corner) -> [Option<Bounce>; 2] {
 fn twice(it: &Transducer, ends: &Ends, c: &Corner, order: [usize; 2], at: &OnLine) -> Option<Bounce> {
     let (near_to, way_m, inside) = turned(c, order, &ends.from.at, &ends.to.at)?;
     let (near_from, ..) = turned(c, [order[1], order[0]], &ends.to.at, &ends.from.at)?;
+    let along = at.place - c.from;
+    let lift = |near: V3| near + c.along * along.dot(&c.along);
+    let views = [ends.from.view(&lift(near_from)), ends.to.view(&lift(near_to))];
+    if ends.lost(it, &views, way_m + at.beyond_m, 1.0) {
+        return None;
+    }
     // The faces go on so far, seen from the transducer.
     let sight = (ends.from.at + ends.to.at) / 2.0 - at.place;
     let flat = (sight - c.along * sight.dot(&c.along)).try_normalize(1e-9)?;
     let wide = [0, 1].map(|i| c.reach[i].min(1e3) * (1.0 - flat.dot(&c.into[i]).powi(2)).max(0.0).sqrt());
     let wide = wide[0].min(wide[1]);
     let q = 4.0 / way_m;
-    let zero = if inside >= 0.0 && inside <= wide {
-        0.0
-    } else if inside < 0.0 {
-        -inside
-    } else {
-        wide - inside
-    };
+    let zero = (-inside).max(0.0) + (wide - inside).min(0.0);
     let part = between(it.wave_number, q, -inside, wide - inside, zero);
     // Beyond the ends of a face the way is by its border, and longer.
-    let way_m = way_m + zero * zero * q / 2.0;
-    let along = at.place - c.from;
-    let lift = |near: V3| near + c.along * along.dot(&c.along);
-    let views = [ends.from.view(&lift(near_from)), ends.to.view(&lift(near_to))];
-    let way_m = way_m + at.beyond_m;
-    if ends.lost(it, &views, way_m, 1.0) {
-        return None;
-    }
+    let way_m = way_m + zero * zero * q / 2.0 + at.beyond_m;
     let r = way_m / 2.0;
     let beam = beam(it, ends, &views, &c.along, Bend::corner(r), Bend::mirror(r, f64::INFINITY));
     let mirrored: f64 = (0..2).map(|i| it.mirrored(c.roughness_m[i], c.normals[i].dot(&flat).abs())).product();

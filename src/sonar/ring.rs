@@ -1,6 +1,6 @@
 //! The ring on its robot: fires its transducers in turn, and reads what comes back.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use nalgebra::Vector3;
 use rand::{Rng, RngExt, SeedableRng};
@@ -23,6 +23,8 @@ use crate::time::{Span, Stamp};
 
 /// Echoes that have less than this share of the threshold are not looked for: several of them may pass it together.
 const SHARE: f64 = 0.3;
+/// Delays between pings that are kept in mind.
+const DELAYS_MAX: usize = 64;
 
 /// What a transducer reports of one ping.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -103,8 +105,8 @@ pub struct Ring {
     params: RingParams,
     it: Transducer,
     footprint: Footprint,
-    /// What echoes of its own ping need.
-    need: Need,
+    /// What echoes need by how long before the receiver's own ping theirs began [ns]: the same few delays again and again.
+    needs: BTreeMap<i64, Need>,
     /// Metres that are read for a metre that is.
     scale: f64,
     step: usize,
@@ -128,9 +130,9 @@ impl Ring {
         let heard_m = params.transducer.range_m_max.min(params.interval_s * air.sound_m_s() / 2.0);
         let it = Transducer::new(TransducerParams { range_m_max: heard_m, ..params.transducer }, &air)?;
         let assumed = Air { temperature_k: params.assumed_k, ..params.air };
-        let (footprint, need) = (Footprint::new(&it), Need::new(&it, 0.0, SHARE));
+        let footprint = Footprint::new(&it);
         let scale = assumed.sound_m_s() / it.sound_m_s;
-        Ok(Self { params, it, footprint, need, scale, step: 0, earlier: VecDeque::new(), rng })
+        Ok(Self { params, it, footprint, needs: BTreeMap::new(), scale, step: 0, earlier: VecDeque::new(), rng })
     }
 
     /// What it is made of.
@@ -175,26 +177,29 @@ impl Ring {
         let oldest = 2.0 * self.it.last_s();
         self.earlier.retain(|shot| (stamp - shot.stamp).as_secs() < oldest);
         self.earlier.push_back(Shot { stamp, aims });
-        let needs: Vec<Need> = self
-            .earlier
-            .iter()
-            .map(|shot| match (stamp - shot.stamp).as_secs() {
-                0.0 => self.need.clone(),
-                delay => Need::new(&self.it, delay, SHARE),
-            })
-            .collect();
+        if self.needs.len() > DELAYS_MAX {
+            self.needs.clear();
+        }
+        for shot in &self.earlier {
+            let delay = stamp - shot.stamp;
+            // Echoes that are left over are not added up.
+            let share = if delay.0 == 0 { SHARE } else { 1.0 };
+            self.needs.entry(delay.0).or_insert_with(|| Need::new(&self.it, delay.as_secs(), share));
+        }
         let now = self.earlier.back().map(|shot| shot.aims.clone()).unwrap_or_default();
-        Ok(now.into_iter().map(|(i, aim)| self.ping(stamp, i, aim, &needs, targets)).collect())
+        Ok(now.into_iter().map(|(i, aim)| self.ping(stamp, i, aim, targets)).collect())
     }
 
-    fn ping(&mut self, stamp: Stamp, transducer: usize, aim: Aim, needs: &[Need], targets: &Targets) -> Ping {
+    fn ping(&mut self, stamp: Stamp, transducer: usize, aim: Aim, targets: &Targets) -> Ping {
         let mut echoes = Vec::new();
         // Pulses, and which echo each is of.
         let mut coming: Vec<(Pulse, usize)> = Vec::new();
-        for (shot, need) in self.earlier.iter().zip(needs).filter(|(_, need)| !need.hopeless()) {
+        for shot in &self.earlier {
+            let Some(need) = self.needs.get(&(stamp - shot.stamp).0).filter(|need| !need.hopeless()) else { continue };
             let (it, footprint, order) = (&self.it, &self.footprint, self.params.order);
-            let search = Search { it, footprint, targets, need, order };
             let delay_s = (stamp - shot.stamp).as_secs();
+            let ghost_times = if delay_s > 0.0 { 1.0 } else { 1.0 / SHARE };
+            let search = Search { it, footprint, targets, need, order, ghost_times };
             for (source, from) in &shot.aims {
                 for heard in search.echoes(from, &aim) {
                     let (way_m, share) = (heard.bounce.way_m, &heard.bounce.share);

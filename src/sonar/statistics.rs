@@ -144,7 +144,7 @@ mod tests {
     /// The ring as `worlds/sonar_room.toml` says why.
     fn ring() -> RingParams {
         let transducer = TransducerParams { blanking_s: 0.87e-3, ..TransducerParams::default() };
-        RingParams { interval_s: 0.0295, schedule: Schedule::Groups { groups: 4 }, transducer, ..RingParams::default() }
+        RingParams { interval_s: 0.0295, schedule: Schedule::Groups { groups: 8 }, transducer, ..RingParams::default() }
     }
 
     /// Readings along the round, in runs of `rows` with `skipped` rows between two of them.
