@@ -40,8 +40,8 @@
 //!
 //! # Deliberately absent
 //!
-//! Drift correction (map and odom coincide), path planning (the robot stops before what its map shows), the ultrasonic
-//! ring, calibration, moving people, speckle, blooming and specular bounces in the image.
+//! Drift correction (map and odom coincide), path planning (the robot stops before what its map shows), calibration,
+//! moving people, speckle, blooming and specular bounces in the image.
 
 pub mod cli;
 pub mod fault;

@@ -106,7 +106,7 @@ impl Piston {
 
     /// How much more than the bound's square nearness may leave at this distance [m].
     pub fn near(&self, r: f64) -> f64 {
-        1.0 + 2.0 * self.kaa_m / r
+        1.0 + 2.5 * self.kaa_m / r
     }
 
     /// What is left of a target's echo, averaged over all pairs of points of one piston that sends and receives. The

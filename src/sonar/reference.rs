@@ -389,6 +389,44 @@ fn a_cylinder_is_the_integral_over_its_lit_side() {
     assert!(worst.range_mm < 3.0, "{} dB, {} mm", worst.decibel, worst.range_mm);
 }
 
+/// Kirchhoff's integral over an upright strip of this width in the plane x = d.
+fn strip(it: &Transducer, aim: &Aim, d: f64, width: f64) -> Complex<f64> {
+    let points = piston(it, aim);
+    let long = 0.45 * d.sqrt();
+    let (wide, tall) = ((width / 1e-3) as usize, (2.0 * long / 2e-3) as usize);
+    let mut total = Complex::default();
+    for i in 0..wide {
+        for j in 0..tall {
+            let (y, v) = ((i as f64 + 0.5) / wide as f64 - 0.5, (j as f64 + 0.5) / tall as f64 * 2.0 - 1.0);
+            let at = V3::new(d, y * width, v * long);
+            let rho = (at - aim.at.xyz).norm();
+            let area = width / wide as f64 * 2.0 * long / tall as f64 * taper(v);
+            let there = rayleigh(it, &points, &at);
+            total += there * there * Complex::new(1.0 / rho, it.wave_number) * (d / rho * area / PI);
+        }
+    }
+    total
+}
+
+#[test]
+fn a_strip_is_its_mirror_and_its_two_edges_together() {
+    let it = polaroid();
+    let aim = looking(V3::zeros(), 0.0, 0.0);
+    // From a third of a Fresnel zone to some three: the mirror alone would be the same for all.
+    for (width, d) in [(0.04, 1.0), (0.1, 1.0), (0.15, 2.0), (0.3, 1.0)] {
+        let post = body(Shape::Box { size: V3::new(2.0, width, 40.0) }, Isometry3::translation(d + 1.0, 0.0, 0.0));
+        let world = targets(vec![post]);
+        let (footprint, need) = (Footprint::new(&it), Need::new(&it, 0.0, 1e-5));
+        let search =
+            Search { it: &it, footprint: &footprint, targets: &world, need: &need, order: 1, ghost_times: 1.0 };
+        let echoes = search.echoes(&aim, &aim);
+        let phase = |h: &Heard| Complex::from_polar(1.0, -it.wave_number * h.bounce.way_m);
+        let model: Complex<f64> = echoes.iter().map(|h| h.bounce.share.total() * phase(h)).sum();
+        let decibel = 20.0 * (model.norm() / strip(&it, &aim, d, width).norm()).log10();
+        assert!(decibel.abs() < 1.0, "{width} m wide at {d} m: {decibel} dB");
+    }
+}
+
 /// Whether a ring of one transducer sees a wall at this distance whose normal is so far off its axis.
 fn seen(d: f64, deg: f64) -> Option<f64> {
     let params = RingParams { count: 1, radius_m: 0.0, ..RingParams::default() }.noiseless();
