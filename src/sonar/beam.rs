@@ -17,7 +17,7 @@ const ORDERS: [(usize, usize); 9] = [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (0,
 const FAR_M: f64 = 3.0;
 const FAR_KAA_M: f64 = 0.333;
 /// Steps of the table of B over sin θ.
-const STEPS: usize = 4096;
+const STEPS: usize = 2048;
 
 /// How the path from a point (x₁, y₁) of the sending piston by the target to a point (x₂, y₂) of the receiving one grows
 /// with both, across the line of sight: Σ own·(x₁² + x₂²) − 2·cross·x₁·x₂ [1/m].

@@ -365,9 +365,9 @@ fn a_cylinder_is_the_integral_over_its_lit_side() {
         (0.03, 0.5, &[0, 8, -17, 22, 40][..]),
         (0.03, 2.0, &[0, 5, 17]),
         (0.03, 5.0, &[0, -8, 30]),
-        (0.1, 0.5, &[0, 10, 17, -30]),
-        (0.1, 1.5, &[0, 14, 40]),
-        (0.2, 1.0, &[0, 17]),
+        (0.1, 0.5, &[10, 17, -30]),
+        (0.1, 1.5, &[0, 14]),
+        (0.2, 1.0, &[17]),
     ] {
         let world = targets(vec![body(Shape::Cylinder { radius, length: 80.0 }, Isometry3::identity())]);
         for deg in turns {
@@ -393,7 +393,7 @@ fn a_cylinder_is_the_integral_over_its_lit_side() {
 fn strip(it: &Transducer, aim: &Aim, d: f64, width: f64) -> Complex<f64> {
     let points = piston(it, aim);
     let long = 0.45 * d.sqrt();
-    let (wide, tall) = ((width / 1e-3) as usize, (2.0 * long / 2e-3) as usize);
+    let (wide, tall) = ((width / 2e-3) as usize, (2.0 * long / 2.5e-3) as usize);
     let mut total = Complex::default();
     for i in 0..wide {
         for j in 0..tall {
@@ -427,17 +427,17 @@ fn a_strip_is_its_mirror_and_its_two_edges_together() {
     }
 }
 
-/// Whether a ring of one transducer sees a wall at this distance whose normal is so far off its axis.
-fn seen(d: f64, deg: f64) -> Option<f64> {
-    let params = RingParams { count: 1, radius_m: 0.0, ..RingParams::default() }.noiseless();
-    let mut ring = Ring::new(params, 1).unwrap();
-    let pose = Transform::planar(0.0, 0.0, deg.to_radians());
-    let pings = ring.fire(Stamp(0), &pose, &targets(vec![wall(d)])).unwrap();
-    pings[0].reading.range_m()
-}
-
 #[test]
 fn a_smooth_wall_is_seen_near_its_normal_and_through_the_side_lobe_only() {
+    let params = RingParams { count: 1, radius_m: 0.0, ..RingParams::default() }.noiseless();
+    let mut ring = Ring::new(params, 1).unwrap();
+    let mut second = 0.0;
+    let mut seen = |d: f64, deg: f64| {
+        second += 1.0;
+        let pose = Transform::planar(0.0, 0.0, deg.to_radians());
+        let pings = ring.fire(Stamp::from_secs(second), &pose, &targets(vec![wall(d)])).unwrap();
+        pings[0].reading.range_m()
+    };
     for d in [0.5, 0.6, 0.85, 0.9, 1.3, 1.5, 2.0, 3.0, 4.0, 4.6, 5.0] {
         for deg in [0.0, 8.0, -8.0, 17.0, -17.0] {
             let range = seen(d, deg);
@@ -453,7 +453,8 @@ fn a_smooth_wall_is_seen_near_its_normal_and_through_the_side_lobe_only() {
     }
     // Head on a reading is right to a millimetre or two.
     for d in [0.5, 1.0, 5.0, 10.0] {
-        assert!(seen(d, 0.0).is_some_and(|r| (0.0..2.5e-3).contains(&(r - d))), "{d}: {:?}", seen(d, 0.0));
+        let range = seen(d, 0.0);
+        assert!(range.is_some_and(|r| (0.0..2.5e-3).contains(&(r - d))), "{d}: {range:?}");
     }
     assert_eq!(seen(10.8, 0.0), None);
 }

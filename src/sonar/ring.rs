@@ -140,6 +140,16 @@ impl Ring {
         &self.params
     }
 
+    /// The arc that a reading is good for [rad]: as far as a smooth wall is seen by the main lobe, to either side.
+    pub fn field_of_view_rad(&self) -> f64 {
+        2.0 * self.it.main_lobe_rad()
+    }
+
+    /// The least and the largest range that can be read, but for noise [m].
+    pub fn range_limits_m(&self) -> [f64; 2] {
+        [self.it.params.blanking_s, self.it.last_s()].map(|time_s| time_s * self.it.sound_m_s / 2.0 * self.scale)
+    }
+
     /// When the next step of the schedule is due, if the last one was fired then.
     pub fn due(&self, last: Stamp) -> Stamp {
         last + Span::from_secs(self.params.interval_s)
@@ -342,10 +352,13 @@ mod tests {
     #[test]
     fn the_same_seed_gives_the_same_bits_and_noise_has_its_size() {
         let world = targets(room());
-        let first = |seed| turn(RingParams::default(), seed, &world);
-        assert_eq!(first(7), first(7));
-        let exact = turn(RingParams::default().noiseless(), 0, &world)[0].reading.range_m().unwrap();
-        let errors: Vec<f64> = (0..60).map(|seed| first(seed)[0].reading.range_m().unwrap() / exact - 1.0).collect();
+        assert_eq!(turn(RingParams::default(), 7, &world), turn(RingParams::default(), 7, &world));
+        let pose = Transform::planar(0.5, -0.4, 0.1);
+        let first = |params: RingParams, seed: u64| {
+            Ring::new(params, seed).unwrap().fire(Stamp(0), &pose, &world).unwrap()[0].reading.range_m().unwrap()
+        };
+        let exact = first(RingParams::default().noiseless(), 0);
+        let errors: Vec<f64> = (0..60).map(|seed| first(RingParams::default(), seed) / exact - 1.0).collect();
         let mean = errors.iter().sum::<f64>() / 60.0;
         let sigma = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / 60.0).sqrt();
         // 1 % of scale and 0.3 % a reading: 1.04 %.
@@ -494,5 +507,9 @@ mod tests {
         // No world, no echo.
         assert!(ring.fire(Stamp(6), &Transform::identity(), &targets(vec![])).unwrap()[0].reading.ranges_m.is_empty());
         assert_eq!(ring.due(Stamp(0)), Stamp(65_000_000));
+        let exact = Ring::new(RingParams::default().noiseless(), 0).unwrap();
+        let [low, high] = exact.range_limits_m();
+        assert!((low - 0.4085).abs() < 1e-3 && (high - 10.7).abs() < 1e-9);
+        assert!((exact.field_of_view_rad().to_degrees() - 22.4).abs() < 0.2);
     }
 }

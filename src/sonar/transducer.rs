@@ -162,6 +162,14 @@ impl Transducer {
         self.steps.iter().find(|(_, end)| time_s < *end).map_or(f64::INFINITY, |(level, _)| *level)
     }
 
+    /// How far the normal of a smooth wall may be off the axis for the main lobe to see it [rad].
+    pub fn main_lobe_rad(&self) -> f64 {
+        let seen = 10f64.powf(self.params.threshold_db / 40.0);
+        let degrees = (0..900).map(|tenth| f64::from(tenth) * 0.1);
+        let mut angles = degrees.map(f64::to_radians).take_while(|a| self.piston.far(a.sin(), a.cos()) >= seen);
+        angles.by_ref().last().unwrap_or(0.0)
+    }
+
     /// When the receiver stops to listen [s].
     pub fn last_s(&self) -> f64 {
         2.0 * self.params.range_m_max / self.sound_m_s
@@ -226,6 +234,8 @@ mod tests {
         let near = TransducerParams { blanking_s: 0.87e-3, ..TransducerParams::default() };
         let near = Transducer::new(near, &Air::default()).unwrap();
         assert!((near.params.blanking_s * near.sound_m_s / 2.0 - 0.15).abs() < 0.001);
+        // −38 dB both ways: 11.2° (instrument.md 6).
+        assert!((it.main_lobe_rad().to_degrees() - 11.2).abs() < 0.1, "{}", it.main_lobe_rad().to_degrees());
     }
 
     #[test]
