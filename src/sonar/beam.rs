@@ -123,7 +123,7 @@ impl Piston {
         let lean_m = sin * self.kaa_m / self.ka;
         // As far from a target as `FAR_M`, own is at most 1/2r.
         if across.own.max(along.own) * self.kaa_m < 0.5 * FAR_KAA_M / FAR_M {
-            return self.from_afar(sin, u, [own_x, own_y], cross_x).with_lean(lean_m);
+            return self.afar(sin, u, [own_x, own_y], cross_x).with_lean(lean_m);
         }
         let moments = self.moments(u, own_x, own_y);
         let moment = |p: usize, q: usize| ORDERS.iter().position(|o| *o == (p, q)).map_or(ZERO, |i| moments[i]);
@@ -142,7 +142,7 @@ impl Piston {
     }
 
     /// The same to the first order of nearness: with ⟨x²·e⟩ = −B″, ⟨y²·e⟩ = −B′/u and ⟨x·e⟩ = jB′ over one piston.
-    fn from_afar(&self, sin: f64, u: f64, own: [f64; 2], cross_x: f64) -> Share {
+    fn afar(&self, sin: f64, u: f64, own: [f64; 2], cross_x: f64) -> Share {
         let [b, b1, b2] = self.derivatives(sin);
         // Near u = 0, B = 1 − u²/8.
         let b1_u = if u < 1e-3 { -0.25 } else { b1 / u };
@@ -185,9 +185,9 @@ pub(super) struct Share {
     pub apart_m: f64,
 }
 
-/// The parts are so far apart, in units of a·sin θ: what has the right fourth moment too, for an even distribution of
-/// x₁ + x₂ over two discs (⟨s⁴⟩/⟨s²⟩ = 5/4 + …, so √1.75).
-const APART: f64 = 1.32;
+/// The parts are so far apart, in units of a·sin θ, that their fourth moment is right too for an even sum over both discs:
+/// √(⟨s⁴⟩/⟨s²⟩) of s = x₁ + x₂, with ⟨x²⟩ = 1/4 and ⟨x⁴⟩ = 1/8.
+const APART: f64 = 1.118;
 
 impl Share {
     /// From ⟨1⟩, ⟨s⟩ and ⟨s²⟩ of s = x₁ + x₂.

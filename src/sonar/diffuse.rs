@@ -20,6 +20,8 @@ const SPOKES: usize = 24;
 pub(super) struct Footprint {
     /// Directions in the beam's own frame (z is its axis).
     rays: Vec<(V3, f64)>,
+    /// Half the angle of the cone that holds them: cosine and sine.
+    cone: (f64, f64),
 }
 
 impl Footprint {
@@ -37,7 +39,19 @@ impl Footprint {
                 rays.push((V3::new(sin * x, sin * y, cos), share));
             }
         }
-        Self { rays }
+        Self { rays, cone: (edge.cos(), edge.sin()) }
+    }
+
+    /// Whether the main lobe meets a ball.
+    fn lights(&self, end: &End, middle: &V3, radius: f64) -> bool {
+        let view = end.view(middle);
+        if view.way_m <= radius {
+            return true;
+        }
+        let ball = radius / view.way_m;
+        let (cos, sin) = self.cone;
+        // The angle off the axis against the sum of both half angles, by cosines.
+        view.cos >= cos * (1.0 - ball * ball).sqrt() - sin * ball - 1e-9
     }
 
     /// The layers of echo from a rough face.
@@ -45,7 +59,7 @@ impl Footprint {
         let scattered = it.scattered(face.roughness_m);
         let height = face.height(&end.at);
         let side = if face.two_sided { height.signum() } else { 1.0 };
-        if scattered < 1e-4 || height * side <= 0.0 {
+        if scattered < 1e-4 || height * side <= 0.0 || !self.lights(end, &face.centre, face.reach) {
             return Vec::new();
         }
         let n = it.spread(face.roughness_m);

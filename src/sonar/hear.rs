@@ -12,6 +12,8 @@ use super::transducer::Transducer;
 /// Smaller faces are no mirrors on the way to others [m], nor are those that mirror less.
 const MIRROR_M: f64 = 0.1;
 const MIRROR_SHARE: f64 = 0.1;
+/// The largest mirrors, as seen, are enough: a mesh has thousands of faces.
+const MIRRORS_MAX: usize = 128;
 /// What lies nearer to a mirror is seen in it where it is seen anyway [m].
 const IN_MIRROR_M: f64 = 0.01;
 
@@ -120,6 +122,9 @@ impl<'a> Search<'a> {
                 }
             });
         }
+        let seen = |mirror: &Mirror| mirror.face.reach / (mirror.face.centre - a.at).norm().max(1e-3);
+        out.sort_by(|x, y| seen(y).total_cmp(&seen(x)).then(x.face.id.cmp(&y.face.id)));
+        out.truncate(MIRRORS_MAX);
         out.sort_unstable_by_key(|mirror| mirror.face.id);
         out
     }

@@ -122,6 +122,9 @@ fn crease(triangles: &[Piece], root: &[usize], sides: &[(usize, usize)], body: u
     Some(Edge { body, from, along, length, into, normal, n, roughness_m })
 }
 
+/// Direction, foot from the origin and normal of an edge, in millimetres.
+type Line = ([i64; 3], [i64; 3], [i64; 3]);
+
 /// Edges of the same two faces that follow one another become one: a box cut into many triangles has twelve.
 fn chained(features: Vec<Feature>) -> Vec<Feature> {
     let (mut edges, mut out): (Vec<Edge>, Vec<Feature>) = (Vec::new(), Vec::new());
@@ -140,7 +143,7 @@ fn chained(features: Vec<Feature>) -> Vec<Feature> {
     };
     let mut keyed: Vec<_> = edges.into_iter().map(|e| (key(&e), e.from.dot(&e.along), e)).collect();
     keyed.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let mut last: Option<(([i64; 3], [i64; 3], [i64; 3]), f64, Edge)> = None;
+    let mut last: Option<(Line, f64, Edge)> = None;
     for (key, start, edge) in keyed {
         match &mut last {
             Some((line, from, chain)) if *line == key && near(start, *from + chain.length) && near(edge.n, chain.n) => {
