@@ -5,8 +5,8 @@ use std::path::Path;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use metromap::geometry::{Robot, Transform, World};
-use metromap::image::{Capture, Image, Reading};
-use metromap::line::Extractor;
+use metromap::image::{Capture, Image, Line, Reading};
+use metromap::line::{Estimator, Extractor, LineParams};
 use metromap::maps::Maps;
 use metromap::optics::Rig;
 use metromap::pipeline::{Pipeline, PipelineParams};
@@ -15,6 +15,13 @@ use metromap::scanner::Renderer;
 use metromap::sources::{Scenario, Simulation};
 use metromap::time::Stamp;
 use metromap::world::Surfaces;
+
+const ESTIMATORS: [(&str, Estimator); 4] = [
+    ("auto", Estimator::Auto),
+    ("full fit", Estimator::FullFit),
+    ("centroid", Estimator::Centroid),
+    ("whole pixel", Estimator::WholePixel),
+];
 
 /// The lab, and a view of its floor with the ball, the table and the ramp in it.
 struct Lab {
@@ -29,7 +36,7 @@ fn lab() -> Lab {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("worlds/lab.toml");
     let scenario = Scenario::load(&path, &[]).expect("the lab loads");
     let surfaces = Surfaces::new(&scenario.scene).expect("the lab has surfaces");
-    let renderer = Renderer::new(&scenario.rig, scenario.image, &scenario.scene).expect("the camera is possible");
+    let renderer = Renderer::new(&scenario.true_rig, scenario.image, &scenario.scene).expect("the camera is possible");
     let pose = Transform::planar(0.0, 0.6, std::f64::consts::FRAC_PI_2);
     let beam_rad = scenario.rig.beam_rad(60).expect("a pulse within the travel");
     let image = renderer.expose(&surfaces, &pose, 0.0, beam_rad, 1, 0).expect("an image").image;
@@ -66,6 +73,13 @@ fn stages(criterion: &mut Criterion) {
         });
     });
     group.bench_function("line extraction 512x480", |b| b.iter(|| extractor.extract(black_box(&lab.image))));
+    for (name, estimator) in ESTIMATORS {
+        let params = LineParams { estimator, ..lab.scenario.pipeline.line };
+        let mut extractor = Extractor::new(params).expect("parameters are possible");
+        let mut found = Line::empty();
+        let name = format!("line extraction 512x480, {name}, into the same line");
+        group.bench_function(name, |b| b.iter(|| extractor.extract_into(black_box(&lab.image), &mut found)));
+    }
     group.bench_function("profile to points", |b| b.iter(|| profile(&rig, black_box(&line), Stamp(0), 0, 60)));
     group.bench_function("map insert", |b| {
         let mut maps = Maps::new(lab.scenario.pipeline.maps).expect("parameters are possible");

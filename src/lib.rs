@@ -11,6 +11,9 @@
 //! encoders and odometry. It is the same type whether simulated, recorded or real, so a recording maps to the same bits
 //! as the run that made it. Truth travels beside a capture, never in it.
 //!
+//! Before the first capture stands the instrument: `design` says what a finder will see, `calibration` turns what was
+//! measured with it into a `rig.toml` with error bars, and `reproduce` recomputes the paper it all comes from.
+//!
 //! # Levels
 //!
 //! A module imports only from a lower level or its own folder (the test `layers` reads this table).
@@ -18,19 +21,20 @@
 //! | level | modules |
 //! |---|---|
 //! | 0 | fault geometry time |
-//! | 1 | image optics |
+//! | 1 | image optics report |
 //! | 2 | line world |
-//! | 3 | points robot sonar |
+//! | 3 | calibration points robot sonar |
 //! | 4 | maps scanner |
 //! | 5 | navigation |
 //! | 6 | pipeline |
 //! | 7 | record |
 //! | 8 | sinks sources |
+//! | 9 | design reproduce |
 //! | 10 | cli |
 //! | 11 | main |
 //!
-//! Truth barrier: `line points maps navigation pipeline` never import `world robot scanner sonar`. Up to `pipeline` there are
-//! no files (but for the readers of worlds), no clocks, no printing, no unseeded randomness.
+//! Truth barrier: `line points calibration maps navigation pipeline` never import `world robot scanner sonar`. Up to
+//! `pipeline` there are no files (but for the readers of worlds), no clocks, no printing, no unseeded randomness.
 //!
 //! # Frames and units
 //!
@@ -40,10 +44,12 @@
 //!
 //! # Deliberately absent
 //!
-//! Drift correction (map and odom coincide), path planning (the robot stops before what its map shows), calibration,
-//! moving people, speckle, blooming and specular bounces in the image.
+//! Drift correction (map and odom coincide), path planning (the robot stops before what its map shows), moving people; in
+//! the image, light between matt surfaces and lines seen in a mirror.
 
+pub mod calibration;
 pub mod cli;
+pub mod design;
 pub mod fault;
 pub mod geometry;
 pub mod image;
@@ -54,6 +60,8 @@ pub mod optics;
 pub mod pipeline;
 pub mod points;
 pub mod record;
+pub mod report;
+pub mod reproduce;
 pub mod robot;
 pub mod scanner;
 pub mod sinks;

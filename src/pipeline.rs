@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::calibration::finder::drift::{Drift, DriftParams, DriftWatch};
 use crate::fault::{Fault, Result};
 use crate::geometry::{Odom, Robot, Transform, World};
 use crate::image::{Capture, Drop, Dropped, Line, Reading};
@@ -44,6 +45,8 @@ pub struct PipelineParams {
     pub line: LineParams,
     /// How maps are made.
     pub maps: MapParams,
+    /// Whether the calibration is watched, where the floor is known to be flat.
+    pub drift: DriftParams,
 }
 
 impl PipelineParams {
@@ -63,6 +66,7 @@ pub struct Pipeline {
     rig: Rig,
     extractor: Extractor,
     maps: Maps,
+    watch: Option<DriftWatch>,
     last_stamp: Option<Stamp>,
 }
 
@@ -70,7 +74,9 @@ impl Pipeline {
     /// A pipeline with empty maps; an error for a finder or parameters that cannot be.
     pub fn new(rig: Rig, params: PipelineParams) -> Result<Self> {
         let extractor = Extractor::new(params.line)?;
-        Ok(Self { rig: rig.validated()?, extractor, maps: Maps::new(params.maps)?, last_stamp: None })
+        let rig = rig.validated()?;
+        let watch = DriftWatch::new(&rig, params.drift)?;
+        Ok(Self { rig, extractor, maps: Maps::new(params.maps)?, watch, last_stamp: None })
     }
 
     /// One capture through every stage. A capture that cannot be used changes nothing: the error says why.
@@ -83,6 +89,9 @@ impl Pipeline {
         let placed = seen.moved(&world_from_robot);
         let unmapped = self.maps.insert(&placed, &world_from_robot);
         self.last_stamp = Some(capture.stamp);
+        if let Some(watch) = &mut self.watch {
+            watch.see(&line, capture.mirror_pulse, capture.cylinder_pulse); // looks on, changes nothing
+        }
 
         let mut dropped = line.dropped.clone();
         dropped.merge(&no_point);
@@ -99,6 +108,11 @@ impl Pipeline {
             placed,
             dropped,
         })
+    }
+
+    /// What the floor last said of the calibration; `None` where it is not watched.
+    pub fn drift(&self) -> Option<&Drift> {
+        self.watch.as_ref().map(DriftWatch::latest)
     }
 
     /// The finder.

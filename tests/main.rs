@@ -3,8 +3,14 @@
 #![allow(clippy::unwrap_used)] // A test that panics is a test that fails.
 
 mod browser;
+mod calibration;
 mod commands;
+mod design;
+mod drift;
+mod finder;
+mod instrument;
 mod layers;
 mod mutations;
 mod real_images;
 mod recordings;
+mod reproduce;

@@ -145,7 +145,7 @@ fn open_recording(options: &Options) -> Result<Input> {
 fn open_folder(options: &Options) -> Result<Input> {
     let rig_path = options.rig.clone().unwrap_or_else(|| options.input.join("rig.toml"));
     let file = rig_file::load(&rig_path)?;
-    let params = PipelineParams { line: file.line, maps: file.maps };
+    let params = PipelineParams { line: file.line, maps: file.maps, drift: file.drift };
     let folder = ImageFolder::open(&options.input, &file)?;
     let name = options.input.canonicalize().ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
     Ok(Input {

@@ -1,9 +1,14 @@
 //! The command line: one file a command. People read stderr, programs read stdout.
 
+pub mod bench;
+pub mod calibrate;
+pub mod design;
 pub mod extract;
+pub mod gallery;
 pub mod map;
 mod output;
 pub mod recover;
+pub mod reproduce;
 pub mod run;
 mod session;
 mod summary;
@@ -47,6 +52,17 @@ pub enum Command {
     View(view::Options),
     /// Find the laser line in images.
     Extract(extract::Options),
+    /// Calibrate a camera, a laser plane or a whole finder from what was measured.
+    #[command(subcommand)]
+    Calibrate(calibrate::Command),
+    /// Recompute the tables and figures of the paper that this finder comes from.
+    Reproduce(reproduce::Options),
+    /// What a finder will see, how well and how safely, before you build it.
+    Design(Box<design::Options>),
+    /// Take the time of the kernels, beside the peers'.
+    Bench(bench::Options),
+    /// Draw what each effect in the simulated image does.
+    Gallery(gallery::Options),
     /// Make a cut-off recording whole again.
     Recover(recover::Options),
 }
@@ -58,6 +74,11 @@ pub fn run(cli: Cli) -> Result<Exit> {
         Command::Map(options) => map::run(options),
         Command::View(options) => view::run(options),
         Command::Extract(options) => extract::run(options),
+        Command::Calibrate(command) => calibrate::run(command),
+        Command::Reproduce(options) => reproduce::run(options),
+        Command::Bench(options) => bench::run(options),
+        Command::Design(options) => design::run(*options),
+        Command::Gallery(options) => gallery::run(options),
         Command::Recover(options) => recover::run(options),
     }
 }

@@ -35,6 +35,10 @@ pub struct Options {
     /// End of the run at the latest [s]
     #[arg(long, value_name = "S", allow_hyphen_values = true, value_parser = positive)]
     pub duration_s: Option<f64>,
+    /// Bump the finder: a parameter of its calibration and by how much, such as tilt_rad=0.005. The robot does not know;
+    /// over a flat floor it should notice. May be repeated
+    #[arg(long = "bump", value_name = "NAME=BY", allow_hyphen_values = true, value_parser = shift)]
+    pub bumps: Vec<(String, f64)>,
     /// Where else `model://` is looked up
     #[arg(long, value_name = "DIR")]
     pub model_path: Vec<PathBuf>,
@@ -59,13 +63,16 @@ JSON keys: captures, profiles, points, dropped {reason: count}, sim_s, wall_s, r
 collisions, mission {steps, ended, given_up}, occupancy {resolution_m, occupied, free, bytes}, terrain {vertices, triangles, max_error_m, area_m2}, \
 truth {point_rms_m, point_rms_m_within_3m, point_outliers, occupancy_precision, occupancy_recall (also _low, _high: below \
 and above 0.1 m), terrain_rmse_m, terrain_coverage, pose_rms_m, pose_rms_rad, objects {name: {seen, found, is_found}}}, \
-absent [what the world asks for and is not simulated], digest (SHA-256 of the maps), files, interrupted.";
+absent [what the world asks for and is not simulated], \
+drift {state: unseen | fits | moved | several, captures, readings, floor_share, misfit_m, misfit_after_m, \
+moved [{parameter, by, sigma, unit, explains}], first_alarm_capture} (where the floor is known to be flat: whether the \
+calibration fits it, and what moved), digest (SHA-256 of the maps), files, interrupted.";
 
 /// Runs the command.
 pub fn run(options: Options) -> Result<Exit> {
     let path = options.scenario.clone().unwrap_or_else(|| PathBuf::from("worlds/lab.toml"));
     let mut scenario = Scenario::load(&path, &options.model_path)?;
-    apply(&options, &mut scenario);
+    apply(&options, &mut scenario)?;
     let mut simulation = Simulation::new(&scenario).map_err(|fault| fault.in_file(&path))?;
     let pipeline = Pipeline::new(scenario.rig.clone(), scenario.pipeline.clone())?;
     let mut judge = Judge::new(&scenario.scene, scenario.pipeline.maps.grid.voxel_m);
@@ -103,8 +110,8 @@ pub fn run(options: Options) -> Result<Exit> {
 
 /// What the command line changed in the scenario that rides along.
 fn overrides(options: &Options) -> String {
-    let Options { odometry, start, goals, duration_s, .. } = options;
-    format!("odometry {odometry:?}, start {start:?}, goto {goals:?}, duration_s {duration_s:?}")
+    let Options { odometry, start, goals, duration_s, bumps, .. } = options;
+    format!("odometry {odometry:?}, start {start:?}, goto {goals:?}, duration_s {duration_s:?}, bump {bumps:?}")
 }
 
 /// The loop: simulate, map, judge, show.
@@ -139,7 +146,7 @@ fn stem(path: &Path) -> String {
 }
 
 /// Flags win over the scenario.
-fn apply(options: &Options, scenario: &mut Scenario) {
+fn apply(options: &Options, scenario: &mut Scenario) -> Result<()> {
     if let Some(seed) = options.seed {
         scenario.seed = seed;
     }
@@ -155,6 +162,7 @@ fn apply(options: &Options, scenario: &mut Scenario) {
     if let Some(duration_s) = options.duration_s {
         scenario.duration_s = duration_s;
     }
+    scenario.bump(&options.bumps.iter().cloned().collect())
 }
 
 /// Exactly N finite numbers with commas between them.
@@ -162,6 +170,12 @@ fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let parts: Vec<f64> = text.split(',').map(|part| finite(part.trim())).collect::<Result<_, _>>()?;
     let found = parts.len();
     parts.try_into().map_err(|_| format!("found {found} numbers, expected {N}"))
+}
+
+/// `NAME=NUMBER`.
+fn shift(text: &str) -> Result<(String, f64), String> {
+    let (name, by) = text.split_once('=').ok_or_else(|| format!("found `{text}`, expected NAME=BY"))?;
+    Ok((name.trim().to_string(), finite(by.trim())?))
 }
 
 fn finite(text: &str) -> Result<f64, String> {

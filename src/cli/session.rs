@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::calibration::finder::drift::DriftState;
 use crate::fault::{Fault, Result};
 use crate::image::{Capture, Dropped, Reading};
 use crate::maps::MapChanges;
@@ -54,6 +55,10 @@ pub struct Session {
     first_stamp: Option<Stamp>,
     last_stamp: Option<Stamp>,
     last_maps: Option<Stamp>,
+    /// The capture at which the floor first did not fit the calibration.
+    pub first_alarm: Option<u64>,
+    /// What the floor last said of the calibration, in the state that was told.
+    told: DriftState,
     log: Vec<(&'static str, String)>,
     /// The newest frame, held back until the next one comes or the session ends: the last one carries the final maps.
     pending: Option<Frame>,
@@ -76,6 +81,8 @@ impl Session {
             first_stamp: None,
             last_stamp: None,
             last_maps: None,
+            first_alarm: None,
+            told: DriftState::Unseen,
             log: Vec::new(),
             pending: None,
             sinks: SinkThread::begin(sinks, start)?,
@@ -100,6 +107,7 @@ impl Session {
                 self.travelled.add(&step.world_from_robot.xyz());
                 self.first_stamp.get_or_insert(capture.stamp);
                 self.last_stamp = Some(capture.stamp);
+                self.tell_drift(capture.id);
                 Some(Arc::new(step))
             }
             Err((why, fault)) => {
@@ -107,6 +115,24 @@ impl Session {
                 self.log.push(("WARN", fault.to_string()));
                 None
             }
+        }
+    }
+
+    /// Tells when the floor says something else of the calibration than before.
+    fn tell_drift(&mut self, capture: u64) {
+        let Some(drift) = self.pipeline.drift().filter(|drift| drift.state != self.told) else { return };
+        let (text, alarm) = (drift.to_string(), drift.is_alarm());
+        // From one alarm to another is no news; the newest stands in the summary.
+        let news = !alarm || self.first_alarm.is_none();
+        self.told = drift.state;
+        if alarm {
+            self.first_alarm.get_or_insert(capture);
+        }
+        if news {
+            if alarm {
+                self.bar.suspend(|| eprintln!("metromap: {text}"));
+            }
+            self.log(if alarm { "WARN" } else { "INFO" }, text);
         }
     }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::session::Session;
+use crate::calibration::finder::drift::{Drift, DriftState};
 use crate::fault::{Fault, Result};
 use crate::image::Dropped;
 use crate::maps::{OccupancySummary, TerrainSummary};
@@ -47,6 +48,9 @@ pub struct Summary {
     /// Against the truth; only for a simulation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<Verdict>,
+    /// What the floor says of the calibration; only where it is known to be flat.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drift: Option<Watched>,
     /// What the world file asks for and is not simulated.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub absent: Vec<String>,
@@ -56,6 +60,17 @@ pub struct Summary {
     pub files: Vec<String>,
     /// Whether the user stopped it early.
     pub interrupted: bool,
+}
+
+/// What the floor last said of the calibration, and when it first did not fit.
+#[derive(Clone, Debug, Serialize)]
+pub struct Watched {
+    /// What it last said.
+    #[serde(flatten)]
+    pub drift: Drift,
+    /// The capture of the first alarm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_alarm_capture: Option<u64>,
 }
 
 /// The terrain mesh in numbers.
@@ -90,6 +105,10 @@ impl Summary {
             occupancy: maps.occupancy,
             terrain: Terrain { mesh: maps.terrain, area_m2: ground.cells.len() as f64 * ground.cell_m * ground.cell_m },
             truth,
+            drift: session
+                .pipeline
+                .drift()
+                .map(|drift| Watched { drift: drift.clone(), first_alarm_capture: session.first_alarm }),
             absent: Vec::new(),
             digest: session.pipeline.maps().digest(),
             files,
@@ -142,6 +161,9 @@ impl Summary {
         }
         if let Some(truth) = &self.truth {
             line(truth.text());
+        }
+        if let Some(watched) = self.drift.as_ref().filter(|watched| watched.drift.state != DriftState::Unseen) {
+            line(watched.drift.to_string());
         }
         // Elements such as <gui> are many and change little; what is missing from the world is told one by one.
         let (elements, things): (Vec<_>, Vec<_>) = self.absent.iter().partition(|what| what.starts_with('<'));

@@ -52,6 +52,11 @@ impl Image {
         &self.levels
     }
 
+    /// All levels, taken out.
+    pub fn into_levels(self) -> Vec<u8> {
+        self.levels
+    }
+
     /// The levels of one row.
     pub fn row(&self, v: usize) -> &[u8] {
         &self.levels[v * self.width..(v + 1) * self.width]

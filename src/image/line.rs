@@ -129,6 +129,11 @@ pub struct Line {
 }
 
 impl Line {
+    /// A line without columns, to be filled.
+    pub fn empty() -> Self {
+        Self { height: 0, columns: Vec::new(), dropped: Dropped::default() }
+    }
+
     /// Columns of the image.
     pub fn width(&self) -> usize {
         self.columns.len()

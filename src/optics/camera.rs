@@ -91,7 +91,8 @@ impl Camera {
             Distortion::BrownConrady { k1, k2, p1, p2, k3 } => vec![k1, k2, p1, p2, k3],
         };
         for value in coefficients {
-            number_within("camera.distortion", value, -1e3, 1e3)?;
+            // On coordinates over the focal length: a tele lens has huge ones.
+            number_within("camera.distortion", value, -1e12, 1e12)?;
         }
         let (right, bottom) = ((self.width - 1) as f64, (self.height - 1) as f64);
         for (u, v) in [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)] {

@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::camera::Camera;
+use super::parameters::RigCovariance;
 use super::sheet::{LaserPlane, Sheet};
 use super::triangulate::PaperGeometry;
 use crate::fault::{Fault, Result, exactly, exactly_if_there, number_within, positive};
@@ -111,6 +112,8 @@ pub struct Rig {
     pub cylinder_sigma_rad: f64,
     /// Points farther than this from the robot's origin are not used [m].
     pub range_m_max: f64,
+    /// How well its calibration knows it; exactly, by default.
+    pub covariance: RigCovariance,
 }
 
 /// The mirror's and the cylinder's encoders: 4000 pulses a turn of the beam (`paper.md` 5.4).
@@ -136,11 +139,13 @@ impl Rig {
             beam_sigma_rad: 0.1 * RAD_PER_PULSE, // [A] instrument.md 5: the mirror stops with σ = 0.1 pulse
             cylinder_sigma_rad: RAD_PER_PULSE / 12f64.sqrt(), // read to whole pulses
             range_m_max: 4.5,
+            covariance: RigCovariance::default(),
         }
     }
 
     /// Refuses a finder that cannot see: bad camera or axes, or a laser plane through the camera's centre.
-    pub fn validated(self) -> Result<Self> {
+    pub fn validated(mut self) -> Result<Self> {
+        self.covariance = std::mem::take(&mut self.covariance).validated(&self)?;
         self.camera.validated()?;
         self.sheet.validated()?;
         self.cylinder.validated("cylinder")?;

@@ -31,6 +31,15 @@ pub struct Sighting {
 
 /// The point where the line of sight of pixel (u, v) meets the sheet; `None` where they do not meet in front of the
 /// camera. Exact for every u and v: the general form of (4)–(6) with (42).
+pub fn place(rig: &Rig, sheet: &LaserPlane<Sensor>, u: f64, v: f64) -> Option<Point<Sensor>> {
+    let eye = Point::<Sensor>::from(rig.sensor_from_camera.xyz());
+    let direction = rig.sensor_from_camera.rotate(&rig.camera.ray(u, v)?);
+    let t = sheet.plane.meet(eye, &direction).filter(|t| *t > 0.0 && t.is_finite())?;
+    Some((eye.xyz + direction * t).into())
+}
+
+/// The same with the covariance that noise of pixel and encoders gives it. It is singular where only one or two of them
+/// are uncertain.
 pub fn triangulate(rig: &Rig, sheet: &LaserPlane<Sensor>, u: f64, v: f64, sigma: &Uncertainty) -> Option<Sighting> {
     let ray = rig.camera.ray(u, v)?;
     let turn = rig.sensor_from_camera.iso.rotation;

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::fault::{Fault, Result, number_within, positive};
+use crate::optics::Rig;
 
 /// h·c [J·m].
 const PLANCK_TIMES_LIGHT: f64 = 6.626_070_15e-34 * 299_792_458.0;
@@ -37,6 +38,24 @@ pub struct ImageParams {
     pub point_spread_px: f64,
     /// Albedo of whatever reflects the ambient light: the same everywhere in the image [A].
     pub ambient_albedo: f64,
+    /// Band that the filter lets through [nm] [A]; the ambient light of a world is given for 10 nm.
+    pub filter_bandwidth_nm: f64,
+    /// Direct sunlight on all that the camera sees [W/m² a nm]: 0 indoors, 1.4 in full sun [A].
+    pub sun_w_per_m2_nm: f64,
+    /// n of the cosⁿα by which an evenly lit wall falls off towards the image's corners: 4 is a simple lens, 0 none [A].
+    pub vignetting: f64,
+    /// Speckle contrast C: 1 for polarised light on a plain rough surface, 0.7 where it loses its polarisation, 0 off [A].
+    pub speckle_contrast: f64,
+    /// Share of a full pixel's overflow that goes up and down its column, half each way; 0 drains it all: anti-blooming [A].
+    pub blooming: f64,
+    /// Whether glossy materials send light about the mirror direction.
+    pub specular: bool,
+    /// Whether flat glossy surfaces throw the sheet on other surfaces: a false line.
+    pub bounce: bool,
+    /// Whether an edge within the sheet's thickness splits the stripe.
+    pub split: bool,
+    /// Whether motion during the exposure smears the image.
+    pub smear: bool,
     /// Electrons in a column under which a stripe is neither drawn nor part of the truth.
     pub signal_electrons_min: f64,
     /// How far the laser is followed [m].
@@ -59,6 +78,15 @@ impl Default for ImageParams {
             white_level: 127,
             point_spread_px: 0.3,
             ambient_albedo: 0.5,
+            filter_bandwidth_nm: 10.0,
+            sun_w_per_m2_nm: 0.0,
+            vignetting: 4.0,
+            speckle_contrast: 1.0,
+            blooming: 0.0,
+            specular: true,
+            bounce: true,
+            split: true,
+            smear: true,
             signal_electrons_min: 20.0,
             reach_m: 12.0,
         }
@@ -80,12 +108,29 @@ impl ImageParams {
         number_within("image.dark_electrons", self.dark_electrons, 0.0, 1e12)?;
         number_within("image.point_spread_px", self.point_spread_px, 0.01, 100.0)?;
         number_within("image.ambient_albedo", self.ambient_albedo, 0.0, 1.0)?;
+        number_within("image.filter_bandwidth_nm", self.filter_bandwidth_nm, 0.0, 1e3)?;
+        number_within("image.sun_w_per_m2_nm", self.sun_w_per_m2_nm, 0.0, 100.0)?;
+        number_within("image.vignetting", self.vignetting, 0.0, 20.0)?;
+        number_within("image.speckle_contrast", self.speckle_contrast, 0.0, 1.0)?;
+        number_within("image.blooming", self.blooming, 0.0, 1.0)?;
         number_within("image.signal_electrons_min", self.signal_electrons_min, 0.0, f64::INFINITY)?;
         number_within("image.reach_m", self.reach_m, 0.1, 1e4)?;
         if self.white_level == 0 {
             return Err(Fault::new("image.white_level", self.white_level, "1 to 255"));
         }
         Ok(self)
+    }
+
+    /// RMS error that speckle gives the row of a stripe in one column, C·λN/π [px] (Dorsch, Häusler, Herrmann 1994).
+    /// No image shows it: who extracts the line must be told.
+    pub fn speckle_sigma_px(&self, rig: &Rig) -> f64 {
+        let row_m = self.focal_length_m / rig.camera.fy;
+        self.speckle_contrast * rig.sheet.wavelength_m * self.f_number / (std::f64::consts::PI * row_m)
+    }
+
+    /// Ambient light and sun within the band-pass [W/m²]; `ambient_w_per_m2` is for 10 nm.
+    pub fn background_w_per_m2(&self, ambient_w_per_m2: f64) -> f64 {
+        (ambient_w_per_m2 / 10.0 + self.sun_w_per_m2_nm) * self.filter_bandwidth_nm
     }
 
     /// Electrons that a joule of light in front of the lens becomes.

@@ -20,7 +20,7 @@ const FAULTS_MAX: usize = 100;
 /// Level given to no difference by `Channel::RedMinusOthers`, so that noise below it is not cut off.
 const NO_DIFFERENCE: i16 = 32;
 /// Endings of the files that are taken for images.
-const ENDINGS: [&str; 7] = ["png", "jpg", "jpeg", "bmp", "pgm", "ppm", "pnm"];
+pub const ENDINGS: [&str; 7] = ["png", "jpg", "jpeg", "bmp", "pgm", "ppm", "pnm"];
 
 /// What of a colour image is looked at. Grey images are taken as they are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -49,8 +49,33 @@ pub fn read_image(path: &Path, channel: Channel, white: u8) -> Result<Image> {
     decode(&bytes, channel, white).map_err(|fault| fault.in_file(path))
 }
 
-/// The same from bytes.
+/// The same for several channels at once; of a grey image only the first, since all would be alike.
+pub fn read_channels(path: &Path, channels: &[Channel], white: u8) -> Result<Vec<(Channel, Image)>> {
+    let bytes = read_bytes(path, FILE_BYTES_MAX)?;
+    let all = decoded(&bytes).and_then(|decoded| {
+        let count = if decoded.color().has_color() { channels.len() } else { 1 };
+        let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+        let image =
+            |channel: &Channel| Ok((*channel, Image::new(width, height, white, levels(decoded.clone(), *channel))?));
+        channels.iter().take(count).map(image).collect()
+    });
+    all.map_err(|fault: Fault| fault.in_file(path))
+}
+
+/// The images of a folder in natural order (img2 before img10).
+///
+/// Errors: no folder, or no images in it.
+pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    list(folder, &ImagesSpec::default())
+}
+
+/// One channel of an image file's bytes.
 pub fn decode(bytes: &[u8], channel: Channel, white: u8) -> Result<Image> {
+    let decoded = decoded(bytes)?;
+    Image::new(decoded.width() as usize, decoded.height() as usize, white, levels(decoded, channel))
+}
+
+fn decoded(bytes: &[u8]) -> Result<DynamicImage> {
     const KINDS: &str = "a PNG, JPEG, BMP or PNM image";
     if bytes.is_empty() {
         return Err(Fault::new("image", "0 bytes", KINDS));
@@ -72,8 +97,7 @@ pub fn decode(bytes: &[u8], channel: Channel, white: u8) -> Result<Image> {
     if u64::from(width) * u64::from(height) > Image::PIXELS_MAX as u64 {
         return Err(Fault::new("image size", format!("{width} x {height}"), "at most 64 Mpixel"));
     }
-    let decoded = DynamicImage::from_decoder(decoder).map_err(|e| Fault::new("image", e, "a whole image"))?;
-    Image::new(width as usize, height as usize, white, levels(decoded, channel))
+    DynamicImage::from_decoder(decoder).map_err(|e| Fault::new("image", e, "a whole image"))
 }
 
 /// Whether the scan of a JPEG is followed by its end mark. The decoder fills a cut-off one with grey without a word.

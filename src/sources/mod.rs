@@ -1,12 +1,15 @@
 //! Where captures come from: simulation, recordings, folders of images.
 
+pub mod arm_poses;
 mod files;
 mod image_poses;
 pub mod images;
+pub mod marks;
 pub mod replay;
 pub mod rig_file;
 mod scenario;
 mod simulation;
+pub mod slits;
 mod truth;
 
 pub use scenario::Scenario;

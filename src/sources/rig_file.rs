@@ -27,7 +27,9 @@
 //! offset_m = 0.166
 //! ```
 //!
-//! May be left out: `[sheet]`, `[cylinder]` (an axis), `[finder]` (position_m, rotation on the robot), `[images]`, `[line]`, `[maps]`.
+//! May be left out: `[sheet]`, `[cylinder]` (an axis), `[finder]` (position_m, rotation on the robot), `[images]`, `[line]`, `[maps]`,
+//! `[covariance]` (what its calibration does not know: `parameters = ["tilt_rad", ...]`, `matrix = [[...], ...]`),
+//! `[drift]` (`flat_floor = true`: the calibration is watched while the images are mapped).
 
 use std::path::{Path, PathBuf};
 
@@ -36,11 +38,12 @@ use serde::{Deserialize, Serialize};
 
 use super::files::read_text;
 use super::images::ImagesSpec;
+use crate::calibration::finder::drift::DriftParams;
 use crate::fault::{Fault, Result, exactly, exactly_if_there, number_within};
 use crate::geometry::Transform;
 use crate::line::LineParams;
 use crate::maps::MapParams;
-use crate::optics::{Axis, Camera, Distortion, Laser, Rig, Sheet};
+use crate::optics::{Axis, Camera, Distortion, Laser, Rig, RigCovariance, Sheet};
 
 /// The version of the format that is written, and the newest one that is read.
 const VERSION: i64 = 1;
@@ -60,6 +63,8 @@ pub struct RigFile {
     pub line: LineParams,
     /// How its maps are made.
     pub maps: MapParams,
+    /// Whether its calibration is watched.
+    pub drift: DriftParams,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -86,6 +91,10 @@ struct Document {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     line: Option<LineParams>,
     maps: Option<MapParams>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    drift: Option<DriftParams>,
+    #[serde(default, skip_serializing_if = "RigCovariance::is_empty")]
+    covariance: RigCovariance,
 }
 
 fn still() -> Axis {
@@ -156,9 +165,53 @@ pub fn parse(text: &str, path: &Path) -> Result<RigFile> {
     })
 }
 
+/// Only the camera: of a rig file, which may have nothing else, or a ROS `camera_info` file (`.yaml`, `.yml`).
+///
+/// Errors: those of `load`, as far as they are about the version and the camera.
+pub fn load_camera(path: &Path) -> Result<Camera> {
+    if path.extension().is_some_and(|e| e == "yaml" || e == "yml") {
+        return camera_info(path);
+    }
+    let text = read_text(path, FILE_BYTES_MAX)?;
+    let placed = |fault: Fault| match line_of(&text, &fault.what) {
+        Some(line) if fault.file.is_none() => fault.in_file(path).at_line(line),
+        _ => fault.in_file(path),
+    };
+    let mut table = versioned(&text).map_err(placed)?;
+    let nothing = || Fault::new("camera", "nothing", "a table [camera], or a camera_info file");
+    let camera = table.remove("camera").ok_or_else(|| placed(nothing()))?;
+    let camera: CameraTable =
+        camera.try_into().map_err(|e: toml::de::Error| placed(Fault::new("camera", e.message(), "a camera")))?;
+    camera.camera(path).and_then(Camera::validated).map_err(placed)
+}
+
+/// The whole rig, or `None` if the file is about a camera only: a ROS `camera_info` file, or neither mount nor laser in it.
+///
+/// Errors: those of `load`.
+pub fn load_if_whole(path: &Path) -> Result<Option<RigFile>> {
+    if path.extension().is_some_and(|e| e == "yaml" || e == "yml") {
+        return Ok(None);
+    }
+    let text = read_text(path, FILE_BYTES_MAX)?;
+    let table = versioned(&text).map_err(|fault| fault.in_file(path))?;
+    if table.contains_key("mount") || table.contains_key("laser") { parse(&text, path).map(Some) } else { Ok(None) }
+}
+
+/// A rig file of which only the camera is known yet; `load_camera` reads it back bit for bit.
+pub fn camera_to_toml(name: &str, camera: &Camera) -> String {
+    #[derive(Serialize)]
+    struct Partial {
+        version: i64,
+        name: String,
+        camera: CameraTable,
+    }
+    let document = Partial { version: VERSION, name: name.into(), camera: CameraTable::of(camera) };
+    // Strings, numbers and tables of them: there is nothing in a camera that TOML cannot hold.
+    toml::to_string(&document).unwrap_or_default()
+}
+
 /// The finder as text that `parse` reads back bit for bit.
 pub fn to_toml(rig: &Rig) -> String {
-    let camera = &rig.camera;
     let stored = |xyz: Vector3<f64>, q: [f64; 4]| Mount {
         position_m: [xyz.x, xyz.y, xyz.z],
         rotation: Some(q),
@@ -170,16 +223,7 @@ pub fn to_toml(rig: &Rig) -> String {
         range_m_max: rig.range_m_max,
         beam_sigma_rad: rig.beam_sigma_rad,
         cylinder_sigma_rad: rig.cylinder_sigma_rad,
-        camera: CameraTable {
-            camera_info: None,
-            width: Some(camera.width),
-            height: Some(camera.height),
-            fx: Some(camera.fx),
-            fy: Some(camera.fy),
-            cx: Some(camera.cx),
-            cy: Some(camera.cy),
-            distortion: Some(camera.distortion),
-        },
+        camera: CameraTable::of(&rig.camera),
         mount: stored(rig.sensor_from_camera.xyz(), rig.sensor_from_camera.quaternion()),
         laser: rig.laser,
         sheet: rig.sheet,
@@ -188,21 +232,21 @@ pub fn to_toml(rig: &Rig) -> String {
         images: None,
         line: None,
         maps: None,
+        drift: None,
+        covariance: rig.covariance.clone(),
     };
     // Strings, numbers and tables of them: there is nothing in a rig that TOML cannot hold.
     toml::to_string(&document).unwrap_or_default()
 }
 
 fn document(text: &str) -> Result<Document> {
-    let wrong = |error: toml::de::Error| {
-        let fault = Fault::new("rig file", error.message(), "a rig of version 1");
-        match error.span() {
-            Some(span) => fault.at_line(text[..span.start.min(text.len())].matches('\n').count() + 1),
-            None => fault,
-        }
-    };
-    // The version is looked at first: a newer file has keys that this one does not know.
-    let table: toml::Table = toml::from_str(text).map_err(wrong)?;
+    versioned(text)?;
+    toml::from_str(text).map_err(|error| wrong(text, &error))
+}
+
+/// The file as a table. The version is looked at first: a newer file has keys that this one does not know.
+fn versioned(text: &str) -> Result<toml::Table> {
+    let table: toml::Table = toml::from_str(text).map_err(|error| wrong(text, &error))?;
     if let Some(version) = table.get("version").and_then(toml::Value::as_integer).filter(|v| *v != VERSION) {
         let expected = if version > VERSION { "1: a newer metromap wrote this file" } else { "1" };
         let fault = Fault::new("version", version, expected);
@@ -211,7 +255,15 @@ fn document(text: &str) -> Result<Document> {
             None => fault,
         });
     }
-    toml::from_str(text).map_err(wrong)
+    Ok(table)
+}
+
+fn wrong(text: &str, error: &toml::de::Error) -> Fault {
+    let fault = Fault::new("rig file", error.message(), "a rig of version 1");
+    match error.span() {
+        Some(span) => fault.at_line(text[..span.start.min(text.len())].matches('\n').count() + 1),
+        None => fault,
+    }
 }
 
 fn assembled(document: Document, path: &Path) -> Result<RigFile> {
@@ -236,14 +288,29 @@ fn assembled(document: Document, path: &Path) -> Result<RigFile> {
         beam_sigma_rad: document.beam_sigma_rad,
         cylinder_sigma_rad: document.cylinder_sigma_rad,
         range_m_max: document.range_m_max,
+        covariance: document.covariance,
     };
     let images = document.images.map(ImagesSpec::validated).transpose()?;
     let line = document.line.unwrap_or_default().validated()?;
     let maps = document.maps.unwrap_or_default().validated()?;
-    Ok(RigFile { path: path.to_path_buf(), rig: rig.validated()?, images, line, maps })
+    let drift = document.drift.unwrap_or_default().validated()?;
+    Ok(RigFile { path: path.to_path_buf(), rig: rig.validated()?, images, line, maps, drift })
 }
 
 impl CameraTable {
+    fn of(camera: &Camera) -> Self {
+        Self {
+            camera_info: None,
+            width: Some(camera.width),
+            height: Some(camera.height),
+            fx: Some(camera.fx),
+            fy: Some(camera.fy),
+            cx: Some(camera.cx),
+            cy: Some(camera.cy),
+            distortion: Some(camera.distortion),
+        }
+    }
+
     fn camera(self, rig_path: &Path) -> Result<Camera> {
         let numbers = [self.fx, self.fy, self.cx, self.cy];
         if let Some(info) = self.camera_info {
@@ -537,6 +604,31 @@ offset_m = 0.166
         }
         assert!(read_text("").is_err());
         assert!(load(Path::new("none/rig.toml")).unwrap_err().to_string().contains("none/rig.toml"));
+    }
+
+    #[test]
+    fn a_camera_alone_is_written_and_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rig.toml");
+        let camera = Camera::metro_i();
+        std::fs::write(&path, camera_to_toml("c", &camera)).unwrap();
+        assert_eq!(load_camera(&path).unwrap(), camera);
+        // It is no whole rig yet, and says what is missing.
+        assert!(load_if_whole(&path).unwrap().is_none());
+        assert!(load(&path).unwrap_err().to_string().contains("missing field"));
+        std::fs::write(&path, GOOD).unwrap();
+        assert!(load_if_whole(&path).unwrap().is_some());
+        assert_eq!(load_camera(&path).unwrap(), load(&path).unwrap().rig.camera);
+        for (from, to, word) in [
+            ("version = 1", "version = 9", "newer"),
+            ("fx = 514.4", "fx = -1.0", "camera.fx"),
+            ("fx = 514.4", "fx = \"a\"", "camera"),
+            ("[camera]", "[kamera]", "camera"),
+        ] {
+            std::fs::write(&path, GOOD.replace(from, to)).unwrap();
+            let fault = load_camera(&path).unwrap_err().to_string();
+            assert!(fault.contains("rig.toml") && fault.contains(word), "{from}: {fault}");
+        }
     }
 
     const INFO: &str = "image_width: 640\nimage_height: 480\ncamera_name: c\ncamera_matrix:\n  rows: 3\n  cols: 3\n  \

@@ -1,11 +1,15 @@
 //! Scenario files: a world, a robot with a finder, and a mission. `worlds/*.toml`, or an SDF world as it lies.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use nalgebra::{Isometry3, Vector3};
 use serde::Deserialize;
 
 use super::files::read_text;
 use super::rig_file;
+use crate::calibration::finder::drift::DriftParams;
+use crate::calibration::finder::shifted;
 use crate::fault::{Fault, Result, positive};
 use crate::line::LineParams;
 use crate::maps::MapParams;
@@ -14,7 +18,7 @@ use crate::optics::{Laser, Rig};
 use crate::pipeline::PipelineParams;
 use crate::robot::{RobotParams, StartParams};
 use crate::scanner::{ImageParams, Schedule, SweepParams};
-use crate::world::{Scene, Source, WorldSpec, load_sdf, toml_fault};
+use crate::world::{Scene, Shape, Source, WorldSpec, load_sdf, toml_fault};
 
 /// Longest scenario file read.
 const FILE_BYTES_MAX: u64 = 16 << 20;
@@ -32,8 +36,10 @@ pub struct Scenario {
     pub scene: Scene,
     /// The robot.
     pub robot: RobotParams,
-    /// The finder as it truly is.
+    /// The finder as it was calibrated: what the robot believes.
     pub rig: Rig,
+    /// The finder as it truly is: the same, unless it was bumped.
+    pub true_rig: Rig,
     /// Where the finder looks.
     pub sweep: SweepParams,
     /// How its camera makes images.
@@ -62,6 +68,8 @@ struct File {
     finder: Finder,
     #[serde(default)]
     maps: MapParams,
+    /// On by default over a level ground plane, and off elsewhere.
+    drift: Option<DriftParams>,
     #[serde(default)]
     mission: Mission,
 }
@@ -71,6 +79,8 @@ struct File {
 struct Finder {
     /// A rig.toml, relative to the scenario; METRO-I without one.
     rig: Option<PathBuf>,
+    /// How the true finder differs from the rig, by parameter of its calibration: `tilt_rad = 0.005`.
+    bumped: BTreeMap<String, f64>,
     sweep: Option<SweepParams>,
     image: ImageParams,
     line: LineParams,
@@ -109,20 +119,25 @@ impl Scenario {
         if file.name.is_empty() || file.name.contains(['/', '\\']) || file.name.starts_with('.') {
             return Err(here(Fault::new("name", format!("{:?}", file.name), "a name that can be a directory")));
         }
+        let image = file.finder.image.validated().map_err(here)?;
+        let scene = file.world.build(&source)?;
+        let drift = file.drift.unwrap_or_else(|| drift_over(&scene)).validated().map_err(here)?;
         Ok(Self {
-            scene: file.world.build(&source)?,
+            scene,
             name: file.name,
             seed: file.seed,
             duration_s: file.duration_s,
             start_given: file.robot.is_some(),
             robot: file.robot.unwrap_or_default().validated().map_err(here)?,
+            true_rig: bumped(&rig, &file.finder.bumped).map_err(here)?,
             rig: rig.clone(),
             sweep: checked_sweep(file.finder.sweep, &rig).map_err(here)?,
-            image: file.finder.image.validated().map_err(here)?,
             pipeline: PipelineParams {
-                line: file.finder.line.validated().map_err(here)?,
+                line: told_of_speckle(file.finder.line, &source.text, &image, &rig).validated().map_err(here)?,
                 maps: file.maps.validated().map_err(here)?,
+                drift,
             },
+            image,
             mission: file.mission.validated().map_err(here)?,
             text: source.text,
         })
@@ -131,8 +146,11 @@ impl Scenario {
     fn load_world(path: &Path, model_path: &[PathBuf]) -> Result<Self> {
         let stem = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let name = stem.split('.').next().unwrap_or("world").to_string();
+        let scene = load_sdf(path, model_path)?;
+        let line = told_of_speckle(LineParams::default(), "", &ImageParams::default(), &Rig::metro_i());
         Ok(Self {
-            scene: load_sdf(path, model_path)?,
+            pipeline: PipelineParams { line, drift: drift_over(&scene), ..PipelineParams::default() },
+            scene,
             text: format!("name = {name:?}\n\n[world]\nsdf = {:?}\n", path.display().to_string()),
             name,
             seed: 0,
@@ -140,9 +158,9 @@ impl Scenario {
             start_given: false,
             robot: RobotParams::default(),
             rig: Rig::metro_i(),
+            true_rig: Rig::metro_i(),
             sweep: SweepParams::default(),
             image: ImageParams::default(),
-            pipeline: PipelineParams::default(),
             mission: look_and_move(),
         })
     }
@@ -155,12 +173,42 @@ impl Scenario {
         self.start_given = true;
     }
 
+    /// Moves parameters of the true finder's calibration, as a bump would: the robot goes on believing the old one.
+    ///
+    /// Errors: a name that is no parameter, or a finder that cannot be.
+    pub fn bump(&mut self, by: &BTreeMap<String, f64>) -> Result<()> {
+        self.true_rig = bumped(&self.true_rig, by)?;
+        Ok(())
+    }
+
     /// Another mission: a full scan at the start and at every goal.
     pub fn visit(&mut self, goals: &[[f64; 2]]) {
         let scan = Step::Scan(ScanKind::Turn);
         let legs = goals.iter().flat_map(|&to_m| [Step::GoTo { to_m, speed_m_s: None }, scan]);
         self.mission.steps = std::iter::once(scan).chain(legs).collect();
     }
+}
+
+fn bumped(rig: &Rig, by: &BTreeMap<String, f64>) -> Result<Rig> {
+    if by.is_empty() {
+        return Ok(rig.clone());
+    }
+    shifted(rig, by).map_err(|fault| Fault { what: format!("finder.bumped: {}", fault.what), ..fault })
+}
+
+/// Parameters of the extraction with the camera's own speckle in σ, unless the scenario's text says otherwise: no image
+/// shows it, so who knows the camera must tell.
+fn told_of_speckle(line: LineParams, text: &str, image: &ImageParams, rig: &Rig) -> LineParams {
+    let table = toml::from_str::<toml::Table>(text).unwrap_or_default();
+    let said = table.get("finder").and_then(|finder| finder.get("line")?.get("sigma_min_px")).is_some();
+    if said { line } else { LineParams { sigma_min_px: image.speckle_sigma_px(rig) as f32, ..line } }
+}
+
+/// The calibration is watched where the ground is a level plane at height 0.
+fn drift_over(scene: &Scene) -> DriftParams {
+    let level = |pose: &Isometry3<f64>| (pose * Vector3::z()).z > 1.0 - 1e-9 && pose.translation.z.abs() < 1e-6;
+    let flat_floor = scene.bodies.iter().any(|body| body.ground && body.shape == Shape::Plane && level(&body.pose));
+    DriftParams { flat_floor, ..DriftParams::default() }
 }
 
 /// A sweep that the finder's axes can make; one that does not tilt its laser looks straight on unless told otherwise.

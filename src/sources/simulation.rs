@@ -13,7 +13,7 @@ use crate::maps::{Maps, PlanView};
 use crate::navigation::{FollowParams, Follower, MissionProgress, ScanKind, ScanRequest};
 use crate::optics::{Laser, Rig};
 use crate::robot::{BodyCommand, Drive, Odometry, RobotParams};
-use crate::scanner::{Head, Renderer, Schedule, Shot as Trigger, Sweep, SweepParams, TrueSight};
+use crate::scanner::{Head, Moment, Movement, Renderer, Schedule, Shot as Trigger, Sweep, SweepParams, TrueSight};
 use crate::time::Stamp;
 use crate::world::{Body, Mesh, Motion, Physics, Scene, Shape, Surfaces};
 
@@ -51,11 +51,16 @@ pub struct ShotTruth {
 /// A run under way.
 pub struct Simulation {
     scene: Scene,
+    /// The finder as the robot believes it to be, by which it aims.
     rig: Rig,
+    /// The finder as it is.
+    true_rig: Rig,
     sweep_params: SweepParams,
     duration_s: f64,
     seed: u64,
     physics: Physics,
+    /// Where the robot was a step of time ago.
+    world_from_robot_before: Transform<World, Robot>,
     drive: Box<dyn Drive>,
     odometry: Odometry,
     head: Head,
@@ -93,14 +98,16 @@ impl Simulation {
             head: Head::new(&sweep_params, mix(scenario.seed, 1)),
             odometry: Odometry::new(robot.odometry, &world_from_robot, mix(scenario.seed, 2))?,
             drive: robot.new_drive()?,
-            renderer: Renderer::new(&scenario.rig, scenario.image, &scenario.scene)?,
+            renderer: Renderer::new(&scenario.true_rig, scenario.image, &scenario.scene)?,
             surfaces: Surfaces::new(&scenario.scene)?,
             follower: Follower::new(&scenario.mission, follower_params(robot))?,
             scene: scenario.scene.clone(),
             rig: scenario.rig.clone(),
+            true_rig: scenario.true_rig.clone(),
             duration_s: scenario.duration_s,
             seed: scenario.seed,
             sweep_params,
+            world_from_robot_before: world_from_robot,
             physics,
             scanning: ScanRequest::Driving,
             plan: PlanView { resolution_m: 1.0, origin_m: [0.0; 2], width: 0, height: 0, cells: Vec::new() },
@@ -153,6 +160,7 @@ impl Simulation {
         }
         self.drive.command(BodyCommand::travel(command.v_m_s, command.omega_rad_s))?;
         let motion = self.drive.advance(dt_s);
+        self.world_from_robot_before = self.physics.robot_pose();
         self.physics.step(self.drive.rolling())?;
         self.odometry.advance(self.drive.as_ref(), &motion, &self.physics.robot_pose())?;
         if self.physics.tilt_rad() > TIPPED_RAD {
@@ -174,8 +182,8 @@ impl Simulation {
         }
         let world_from_robot = self.physics.robot_pose();
         let (cylinder_rad, beam_rad) = self.true_angles(trigger.angles);
-        let exposure =
-            self.renderer.expose(&self.surfaces, &world_from_robot, cylinder_rad, beam_rad, self.seed, self.frame)?;
+        let middle = Moment { world_from_robot, cylinder_rad, beam_rad };
+        let exposure = self.renderer.expose_moving(&self.surfaces, &middle, &self.movement(), self.seed, self.frame)?;
         let capture = Capture {
             id: self.frame,
             stamp: self.now(),
@@ -189,13 +197,20 @@ impl Simulation {
         Ok(Shot { capture, truth, notes: std::mem::take(&mut self.notes) })
     }
 
+    /// How far the robot gets during an exposure at the speed of this step of time; the head stands still then.
+    fn movement(&self) -> Movement {
+        let step = self.world_from_robot_before.inverse() * self.physics.robot_pose();
+        let steps = self.renderer.params().exposure_s / self.physics.dt_s();
+        Movement { robot: Transform::identity().along_arc(&step, steps), ..Movement::default() }
+    }
+
     /// θR and θB [rad] where the axes truly are, between whole pulses.
     fn true_angles(&self, (cylinder, mirror): (f64, f64)) -> (f64, f64) {
-        let beam = match self.rig.laser {
+        let beam = match self.true_rig.laser {
             Laser::Mirror(laser) => laser.beam.zero_rad + mirror * laser.beam.rad_per_pulse,
             Laser::Plane(_) => 0.0,
         };
-        (self.rig.cylinder.zero_rad + cylinder * self.rig.cylinder.rad_per_pulse, beam)
+        (self.true_rig.cylinder.zero_rad + cylinder * self.true_rig.cylinder.rad_per_pulse, beam)
     }
 
     fn schedule(&self) -> &Schedule {

@@ -48,6 +48,8 @@ pub struct Material {
     pub albedo: f64,
     /// Share of the light mirrored, 0 to 1; albedo + gloss ≤ 1.
     pub gloss: f64,
+    /// RMS angle by which mirrored light is off the mirror direction, one axis [rad]: 0 is a mirror, lacquer some 0.01 [A].
+    pub gloss_spread_rad: f64,
     /// RMS height of the surface that sound sees [m]; 0 is a mirror to it.
     pub acoustic_roughness_m: f64,
     /// Coulomb friction.
@@ -58,7 +60,14 @@ pub struct Material {
 
 impl Default for Material {
     fn default() -> Self {
-        Self { albedo: 0.5, gloss: 0.0, acoustic_roughness_m: 0.0, friction: 0.8, colour: [170, 170, 170] }
+        Self {
+            albedo: 0.5,
+            gloss: 0.0,
+            gloss_spread_rad: 0.01,
+            acoustic_roughness_m: 0.0,
+            friction: 0.8,
+            colour: [170, 170, 170],
+        }
     }
 }
 
@@ -98,7 +107,7 @@ pub struct Scene {
     pub name: String,
     /// All bodies.
     pub bodies: Vec<Body>,
-    /// Ambient irradiance within the camera's band-pass [W/m²].
+    /// Ambient irradiance within 10 nm about the laser's wavelength [W/m²].
     pub ambient_w_per_m2: f64,
     /// What the file asks for and this program does not do or have: listed for the user, never dropped in silence.
     pub absent: Vec<String>,

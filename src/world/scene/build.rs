@@ -76,6 +76,7 @@ impl<'a> Builder<'a> {
         };
         set(&mut material.albedo, "albedo", &spec.albedo, 1.0)?;
         set(&mut material.gloss, "gloss", &spec.gloss, 1.0)?;
+        set(&mut material.gloss_spread_rad, "gloss_spread_rad", &spec.gloss_spread_rad, 1.0)?;
         set(&mut material.acoustic_roughness_m, "acoustic_roughness_m", &spec.acoustic_roughness_m, 1.0)?;
         set(&mut material.friction, "friction", &spec.friction, 1000.0)?;
         material.colour = spec.colour.unwrap_or(material.colour);

@@ -12,6 +12,7 @@ pub(super) type Numbers = Spanned<Vec<f64>>;
 pub(super) struct MaterialSpec {
     pub(super) albedo: Option<Number>,
     pub(super) gloss: Option<Number>,
+    pub(super) gloss_spread_rad: Option<Number>,
     pub(super) acoustic_roughness_m: Option<Number>,
     pub(super) friction: Option<Number>,
     pub(super) colour: Option<[u8; 3]>,
