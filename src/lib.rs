@@ -21,7 +21,7 @@
 //! | level | modules |
 //! |---|---|
 //! | 0 | fault geometry time |
-//! | 1 | image optics report |
+//! | 1 | image optics ranges report |
 //! | 2 | line world |
 //! | 3 | calibration points robot sonar |
 //! | 4 | maps scanner |
@@ -59,6 +59,7 @@ pub mod navigation;
 pub mod optics;
 pub mod pipeline;
 pub mod points;
+pub mod ranges;
 pub mod record;
 pub mod report;
 pub mod reproduce;

@@ -118,7 +118,7 @@ fn overrides(options: &Options) -> String {
 fn drive(session: &mut Session, simulation: &mut Simulation, judge: &mut Judge) -> Result<()> {
     while !stop_requested() {
         simulation.look_at(session.pipeline.maps(), session.pipeline.world_from_odom());
-        let Some(Shot { capture, truth, notes }) = simulation.next_shot()? else { break };
+        let Some(Shot { capture, truth, heard: _, notes }) = simulation.next_shot()? else { break };
         log_notes(session, notes);
         session.progress(simulation.thousandths(), simulation.doing());
         if let Some(step) = session.step(&capture) {

@@ -62,6 +62,8 @@ pub struct RingParams {
     pub height_m: f64,
     /// How far they look up [°].
     pub tilt_deg: f64,
+    /// The arc, from side to side, in which what a transducer reports may be, as it is stated for maps [°].
+    pub field_of_view_deg: f64,
     /// Time between two steps of the schedule [s] [A].
     pub interval_s: f64,
     /// Who fires when.
@@ -87,6 +89,7 @@ impl Default for RingParams {
             radius_m: 0.3,
             height_m: 0.4,
             tilt_deg: 0.0,
+            field_of_view_deg: 30.0,
             interval_s: 0.065,
             schedule: Schedule::Sequential,
             order: 2,
@@ -123,6 +126,7 @@ impl RingParams {
         number_within("radius_m", self.radius_m, 0.0, 5.0)?;
         number_within("height_m", self.height_m, 0.0, 10.0)?;
         number_within("tilt_deg", self.tilt_deg, -80.0, 80.0)?;
+        number_within("field_of_view_deg", self.field_of_view_deg, 1.0, 180.0)?;
         number_within("interval_s", self.interval_s, 1e-3, 10.0)?;
         number_within("assumed_k", self.assumed_k, 233.15, 333.15)?;
         number_within("temperature_sigma_k", self.temperature_sigma_k, 0.0, 20.0)?;

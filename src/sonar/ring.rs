@@ -140,14 +140,17 @@ impl Ring {
         &self.params
     }
 
-    /// The arc that a reading is good for [rad]: as far as a smooth wall is seen by the main lobe, to either side.
-    pub fn field_of_view_rad(&self) -> f64 {
+    /// The arc in which a smooth wall's normal is seen by the main lobe, from side to side [rad].
+    pub fn main_lobe_rad(&self) -> f64 {
         2.0 * self.it.main_lobe_rad()
     }
 
-    /// The least and the largest range that can be read, but for noise [m].
+    /// The least and the largest range that the module states [m]: in the air that it works ranges out with.
     pub fn range_limits_m(&self) -> [f64; 2] {
-        [self.it.params.blanking_s, self.it.last_s()].map(|time_s| time_s * self.it.sound_m_s / 2.0 * self.scale)
+        let RingParams { transducer, interval_s, .. } = self.params;
+        let assumed_m_s = self.scale * self.it.sound_m_s;
+        let heard_m = transducer.range_m_max.min(interval_s * assumed_m_s / 2.0);
+        [transducer.blanking_s * assumed_m_s / 2.0, heard_m]
     }
 
     /// When the next step of the schedule is due, if the last one was fired then.
@@ -510,6 +513,6 @@ mod tests {
         let exact = Ring::new(RingParams::default().noiseless(), 0).unwrap();
         let [low, high] = exact.range_limits_m();
         assert!((low - 0.4085).abs() < 1e-3 && (high - 10.7).abs() < 1e-9);
-        assert!((exact.field_of_view_rad().to_degrees() - 22.4).abs() < 0.2);
+        assert!((exact.main_lobe_rad().to_degrees() - 22.4).abs() < 0.2);
     }
 }

@@ -11,7 +11,9 @@ mod scenario;
 mod simulation;
 pub mod slits;
 mod truth;
+mod ultrasound;
 
 pub use scenario::Scenario;
 pub use simulation::{Shot, ShotTruth, Simulation};
 pub use truth::{Found, Judge, Verdict};
+pub use ultrasound::{Heard, HeardTruth};
