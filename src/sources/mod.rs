@@ -5,6 +5,8 @@ mod files;
 mod image_poses;
 pub mod images;
 pub mod marks;
+mod plan_truth;
+mod recorded_ranges;
 pub mod replay;
 pub mod rig_file;
 mod scenario;
@@ -13,6 +15,7 @@ pub mod slits;
 mod truth;
 mod ultrasound;
 
+pub use plan_truth::{LayerVerdict, LayerVerdicts, PlanTruth};
 pub use scenario::Scenario;
 pub use simulation::{Shot, ShotTruth, Simulation};
 pub use truth::{Found, Judge, Verdict};
