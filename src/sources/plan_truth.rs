@@ -280,7 +280,7 @@ mod tests {
         );
         assert_eq!([cell(view, 0.5, 0.0), cell(view, 1.18, 0.0), cell(view, 0.0, 0.68)], [UNKNOWN; 3]);
         let seen = |x: f64, y: f64| truth.in_sight[index(view, [x, y]).unwrap()];
-        assert!(seen(0.31, 0.01) && seen(-1.02, 0.0) && !seen(0.9, 0.0) && !seen(0.69, 0.01));
+        assert!(seen(0.31, 0.01) && seen(-0.98, 0.0) && !seen(0.9, 0.0) && !seen(0.69, 0.01));
     }
 
     #[test]
