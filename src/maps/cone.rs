@@ -18,6 +18,11 @@ pub struct ConeParams {
     pub band_m: f64,
     /// Readings beyond this are not used [m] [A].
     pub range_m_max: f64,
+    /// A range that its transducer measured from nearer than this to where it last measured the same is the same echo once
+    /// more, and no new evidence [m] [A].
+    pub step_m: f64,
+    /// Nor is one in a direction within this of that one [°] [A].
+    pub step_deg: f64,
     /// How certain a cell is free where P_E = 1: its probability of being occupied is (1 − this)/2 [A].
     pub free_certainty: f64,
     /// How certain a cell is occupied where P_O = 1: its probability is (1 + this)/2 [A].

@@ -83,7 +83,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::{Robot, Transform, World};
-    use crate::sonar::{Ring, RingParams, Schedule, Targets, TransducerParams};
+    use crate::sonar::{Ring, RingParams, Targets};
     use crate::time::Stamp;
     use crate::world::{Source, WorldSpec};
 
@@ -118,6 +118,7 @@ mod tests {
     #[derive(Deserialize)]
     struct Room {
         world: WorldSpec,
+        sonar: RingParams,
         mission: Vec<Goal>,
     }
 
@@ -141,12 +142,6 @@ mod tests {
         out.into_iter().map(pose).collect()
     }
 
-    /// The ring as `worlds/sonar_room.toml` says why.
-    fn ring() -> RingParams {
-        let transducer = TransducerParams { blanking_s: 0.87e-3, ..TransducerParams::default() };
-        RingParams { interval_s: 0.0295, schedule: Schedule::Groups { groups: 8 }, transducer, ..RingParams::default() }
-    }
-
     /// Readings along the round, in runs of `rows` with `skipped` rows between two of them.
     fn simulated(rows: usize, skipped: usize) -> RangeStatistics {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("worlds/sonar_room.toml");
@@ -154,7 +149,7 @@ mod tests {
         let room: Room = toml::from_str(&source.text).unwrap();
         let targets = Targets::new(&room.world.build(&source).unwrap()).unwrap();
         let goals: Vec<[f64; 2]> = room.mission.iter().map(|goal| goal.go_to).collect();
-        let params = ring();
+        let params = room.sonar;
         let groups = params.schedule.steps(params.count);
         let poses = poses(&goals, params.interval_s);
         let mut statistics = RangeStatistics::new(5.0);

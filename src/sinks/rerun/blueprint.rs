@@ -201,9 +201,9 @@ fn plan_view(book: &mut Book, layout: &Layout, name: &str, plan: &str) -> Record
     let view = book.view("3D", name, "/world", &contents)?;
     let [low, high] = layout.bounds_m;
     let (middle, size) = ((low + high) / 2.0, high - low);
-    // Three plans beside each other are narrower than one.
-    let narrow = if layout.has_sonar { 1.0 } else { 2.0 };
-    let above_m = (size.y.max(size.x / narrow).max(1.0) / 2.0) / HALF_FOV_RAD.tan() * 1.05;
+    // Three plans beside each other are narrower than one, and ghosts make the ultrasonic one larger than the room.
+    let (narrow, margin) = if layout.has_sonar { (1.0, 1.35) } else { (2.0, 1.05) };
+    let above_m = (size.y.max(size.x / narrow).max(1.0) / 2.0) / HALF_FOV_RAD.tan() * margin;
     let floor = Vector3::new(middle.x, middle.y, 0.0);
     let eye = EyeControls3D::new()
         .with_position(f32s(&(floor + Vector3::z() * above_m)))
