@@ -31,7 +31,14 @@ pub struct ConeParams {
 
 impl Default for ConeParams {
     fn default() -> Self {
-        Self { band_m: 0.075, range_m_max: 5.0, free_certainty: 0.4, occupied_certainty: 0.6 }
+        Self {
+            band_m: 0.075,
+            range_m_max: 5.0,
+            step_m: 0.05,
+            step_deg: 3.0,
+            free_certainty: 0.4,
+            occupied_certainty: 0.6,
+        }
     }
 }
 
@@ -40,6 +47,8 @@ impl ConeParams {
     pub fn validated(self) -> Result<Self> {
         number_within("cone.band_m", self.band_m, 0.001, 5.0)?;
         number_within("cone.range_m_max", self.range_m_max, 0.01, 20.0)?;
+        number_within("cone.step_m", self.step_m, 0.0, 10.0)?;
+        number_within("cone.step_deg", self.step_deg, 0.0, 180.0)?;
         number_within("cone.free_certainty", self.free_certainty, 0.0, 0.999)?;
         number_within("cone.occupied_certainty", self.occupied_certainty, 0.0, 0.999)?;
         Ok(self)

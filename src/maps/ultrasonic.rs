@@ -1,6 +1,9 @@
 //! The ultrasonic layer: log-odds of cells in the plane, by the cones of ranges. Its cells are the columns of the grid.
+//!
+//! Log-odds add only what is independent. What a beam does to an echo is the same every time, so a transducer that stands
+//! still tells nothing new: its ranges count again once it has moved or turned, or when the range is another.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use super::cone::{Cone, ConeParams, evidence};
 use super::grid::{Grid, State, UNSEEN};
@@ -28,7 +31,8 @@ pub struct Ultrasonic {
     extent_m_max: f64,
     tiles_max: usize,
     tiles: Tiles,
-    frames: BTreeSet<String>,
+    /// Every transducer, and what it last said that was new.
+    said: BTreeMap<String, Option<(Cone, f64)>>,
     readings: u64,
     silent: u64,
     refused: u64,
@@ -45,7 +49,7 @@ impl Ultrasonic {
             extent_m_max: limits.extent_m_max,
             tiles_max: limits.blocks_max,
             tiles: Tiles::new(),
-            frames: BTreeSet::new(),
+            said: BTreeMap::new(),
             readings: 0,
             silent: 0,
             refused: 0,
@@ -71,26 +75,39 @@ impl Ultrasonic {
             return Err((Drop::OutOfRange, Fault::new(at("place"), format!("{place:?}"), expected)));
         }
         let level = axis.x.hypot(axis.y);
-        let said = match reading.range_m {
-            Some(range_m) if level >= STEEP_COS => {
-                let cone = Cone {
-                    origin_m: [place.x, place.y],
-                    bearing_rad: axis.y.atan2(axis.x),
-                    view_rad: f64::from(reading.field_of_view_rad).min(std::f64::consts::PI),
-                    range_m_min: f64::from(reading.range_m_min) * level,
-                };
-                evidence(&self.params, self.cell_m, &cone, f64::from(range_m) * level)
-                    .map_err(|fault| (Drop::OutOfRange, fault))?
+        let before = self.said.get(&reading.frame).copied().flatten();
+        let (mut said, mut now) = (Vec::new(), before);
+        if let Some(range_m) = reading.range_m.filter(|_| level >= STEEP_COS) {
+            let range_m = f64::from(range_m) * level;
+            let cone = Cone {
+                origin_m: [place.x, place.y],
+                bearing_rad: axis.y.atan2(axis.x),
+                view_rad: f64::from(reading.field_of_view_rad).min(std::f64::consts::PI),
+                range_m_min: f64::from(reading.range_m_min) * level,
+            };
+            if !before
+                .is_some_and(|(old, old_m)| self.is_same(&old, &cone) && (range_m - old_m).abs() < self.params.band_m)
+            {
+                said =
+                    evidence(&self.params, self.cell_m, &cone, range_m).map_err(|fault| (Drop::OutOfRange, fault))?;
+                now = Some((cone, range_m));
             }
-            _ => Vec::new(),
-        };
-        self.frames.insert(reading.frame.clone());
+        }
+        self.said.insert(reading.frame.clone(), now);
         self.readings += 1;
         self.silent += u64::from(reading.range_m.is_none());
         for one in said {
             self.add(one.cell, one.log_odds);
         }
         Ok(())
+    }
+
+    /// Whether a transducer is where it was, and looks there.
+    fn is_same(&self, old: &Cone, new: &Cone) -> bool {
+        let [dx, dy] = [0, 1].map(|axis| new.origin_m[axis] - old.origin_m[axis]);
+        let turned = new.bearing_rad - old.bearing_rad;
+        let turned = turned.sin().atan2(turned.cos()).abs();
+        dx.hypot(dy) < self.params.step_m && turned < self.params.step_deg.to_radians()
     }
 
     fn add(&mut self, cell: [i32; 2], log_odds: i16) {
@@ -120,7 +137,7 @@ impl Ultrasonic {
 
     /// Transducers that gave a reading.
     pub fn transducers(&self) -> usize {
-        self.frames.len()
+        self.said.len()
     }
 
     /// Updates of cells refused because the layer had as many tiles as the grid may have blocks.
@@ -223,6 +240,25 @@ pub(super) mod tests {
         assert_eq!(layer.state(1.0, 0.5), State::Unknown, "beside the cone");
         assert_eq!((layer.readings(), layer.silent(), layer.transducers()), (1, 0, 1));
         assert_eq!(layer.check(), Ok(()));
+    }
+
+    #[test]
+    fn a_transducer_that_stands_still_tells_nothing_new() {
+        let mut layer = layer(GridParams::default());
+        let cell = [40, 0]; // at 2.0 m
+        let mut hear = |x_m: f64, yaw: f64, range_m: f32| {
+            layer.insert(&reading(Some(range_m)), &Transform::planar(x_m, 0.0, yaw)).unwrap();
+            layer.log_odds(cell)
+        };
+        let once = hear(0.0, 0.0, 2.0);
+        assert!(once > 0);
+        assert_eq!([hear(0.0, 0.0, 2.0), hear(0.01, 0.01, 2.03)], [once; 2]);
+        let moved = hear(0.06, 0.0, 1.94);
+        assert!(moved > once);
+        assert!(hear(0.06, 0.0, 3.0) < moved, "something went away");
+        let turned = hear(0.06, 0.1, 1.94);
+        assert!(turned > once);
+        assert_eq!(layer.readings(), 6);
     }
 
     #[test]
