@@ -2,13 +2,15 @@
 //!
 //! ```text
 //! worlds/*.toml, *.sdf ─► world ─► robot ─► scanner ─┐                          (sources::simulation)
-//! recording.mcap ────────────────────────────────────┼─► Capture ─► line ─► points ─► maps ─► Step
-//! folder of images + rig.toml ───────────────────────┘             (pipeline: one call a stage)  │
-//!                                                        sinks: rerun · mcap · export ◄──────────┘
+//!                                    └────► sonar ──┐ │
+//! recording.mcap ──────────────────────────────────┐│ ├─► Capture ─► line ─► points ─► maps ─► Step
+//! folder of images + rig.toml ─────────────────────┼┼─┘          (pipeline: one call a stage)  │
+//!                                                  └┴─► RangeReading ─► cones ─► maps ─► RangeStep
+//!                                                       sinks: rerun · mcap · export ◄─────────┘
 //! ```
 //!
 //! A [`image::Capture`] is what the instrument gives: an image (or the line in it), the middle of the exposure, two
-//! encoders and odometry. It is the same type whether simulated, recorded or real, so a recording maps to the same bits
+//! encoders and odometry; a [`ranges::RangeReading`] is a ping of one ultrasonic transducer. Each is the same type whether simulated, recorded or real, so a recording maps to the same bits
 //! as the run that made it. Truth travels beside a capture, never in it.
 //!
 //! Before the first capture stands the instrument: `design` says what a finder will see, `calibration` turns what was
@@ -21,9 +23,9 @@
 //! | level | modules |
 //! |---|---|
 //! | 0 | fault geometry time |
-//! | 1 | image optics report |
+//! | 1 | image optics ranges report |
 //! | 2 | line world |
-//! | 3 | calibration points robot |
+//! | 3 | calibration points robot sonar |
 //! | 4 | maps scanner |
 //! | 5 | navigation |
 //! | 6 | pipeline |
@@ -33,8 +35,8 @@
 //! | 10 | cli |
 //! | 11 | main |
 //!
-//! Truth barrier: `line points calibration maps navigation pipeline` never import `world robot scanner`. Up to `pipeline` there are
-//! no files (but for the readers of worlds), no clocks, no printing, no unseeded randomness.
+//! Truth barrier: `line points calibration maps navigation pipeline` never import `world robot scanner sonar`. Up to
+//! `pipeline` there are no files (but for the readers of worlds), no clocks, no printing, no unseeded randomness.
 //!
 //! # Frames and units
 //!
@@ -44,8 +46,8 @@
 //!
 //! # Deliberately absent
 //!
-//! Drift correction (map and odom coincide), path planning (the robot stops before what its map shows), the ultrasonic
-//! ring, moving people; in the image, light between matt surfaces and lines seen in a mirror.
+//! Drift correction (map and odom coincide), path planning (the robot stops before what its map shows), moving people; in
+//! the image, light between matt surfaces and lines seen in a mirror.
 
 pub mod calibration;
 pub mod cli;
@@ -59,12 +61,14 @@ pub mod navigation;
 pub mod optics;
 pub mod pipeline;
 pub mod points;
+pub mod ranges;
 pub mod record;
 pub mod report;
 pub mod reproduce;
 pub mod robot;
 pub mod scanner;
 pub mod sinks;
+pub mod sonar;
 pub mod sources;
 pub mod time;
 pub mod world;

@@ -40,6 +40,8 @@ frames! {
     Sensor = "finder_base";
     /// The camera, optical: x right, y down, z along the view (the paper's U, −V, W).
     Camera = "finder_camera";
+    /// An ultrasonic transducer: x along its axis. In ROS with its number behind, `sonar_07`.
+    Transducer = "sonar";
 }
 
 /// A position [m] in frame `F`.

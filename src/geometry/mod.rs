@@ -5,5 +5,5 @@ mod frame;
 mod plane;
 
 pub use fit::{LineFit, PlaneFit, fit_line, fit_plane};
-pub use frame::{Camera, Frame, Odom, Point, Robot, Sensor, Transform, World};
+pub use frame::{Camera, Frame, Odom, Point, Robot, Sensor, Transducer, Transform, World};
 pub use plane::Plane;

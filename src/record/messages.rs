@@ -7,6 +7,8 @@ use crate::geometry::{Camera, Frame, Transform};
 use crate::image::{Capture, Drop, Dropped, Line, Peak, Reading};
 use crate::time::Stamp;
 
+pub use super::bytes::Bytes;
+
 macro_rules! messages {
     ($($(#[$doc:meta])* $name:ident as $ros:literal { $($(#[$note:meta])* $field:ident: $type:ty,)* })*) => {$(
         $(#[$doc])*
@@ -215,6 +217,23 @@ messages! {
         /// Level of the peak over the background; 0 where nothing was seen.
         intensities: Vec<f32>,
     }
+    /// One range of one transducer.
+    Range as "sensor_msgs/msg/Range" {
+        /// When it was fired, and the frame of the transducer: x along its axis.
+        header: Header,
+        /// 0 ultrasound, 1 infrared.
+        radiation_type: u8,
+        /// The arc in which what echoed may be [rad].
+        field_of_view: f32,
+        /// Nothing nearer is reported [m].
+        min_range: f32,
+        /// Nothing farther is reported [m].
+        max_range: f32,
+        /// The range [m]; +Inf where there was no echo (REP-117), which does not mean that nothing is there.
+        range: f32,
+        /// 0: not known [m²].
+        variance: f32,
+    }
     /// A part of an image.
     RegionOfInterest as "sensor_msgs/msg/RegionOfInterest" {
         /// [px].
@@ -313,35 +332,6 @@ messages! {
         drop_reason: Vec<String>,
         /// How many of each.
         drop_count: Vec<u64>,
-    }
-}
-
-/// `uint8[]` or `int8[]`, written and read in one piece.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Bytes(pub Vec<u8>);
-
-impl Serialize for Bytes {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_bytes(&self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Bytes {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl serde::de::Visitor<'_> for Visitor {
-            type Value = Bytes;
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("bytes")
-            }
-            fn visit_bytes<E>(self, bytes: &[u8]) -> Result<Bytes, E> {
-                Ok(Bytes(bytes.to_vec()))
-            }
-            fn visit_byte_buf<E>(self, bytes: Vec<u8>) -> Result<Bytes, E> {
-                Ok(Bytes(bytes))
-            }
-        }
-        deserializer.deserialize_byte_buf(Visitor)
     }
 }
 

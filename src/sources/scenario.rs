@@ -18,6 +18,7 @@ use crate::optics::{Laser, Rig};
 use crate::pipeline::PipelineParams;
 use crate::robot::{RobotParams, StartParams};
 use crate::scanner::{ImageParams, Schedule, SweepParams};
+use crate::sonar::RingParams;
 use crate::world::{Scene, Shape, Source, WorldSpec, load_sdf, toml_fault};
 
 /// Longest scenario file read.
@@ -44,6 +45,8 @@ pub struct Scenario {
     pub sweep: SweepParams,
     /// How its camera makes images.
     pub image: ImageParams,
+    /// The ultrasonic ring beside the finder; `None`: the robot has none.
+    pub sonar: Option<RingParams>,
     /// How lines are found and maps are made.
     pub pipeline: PipelineParams,
     /// What the robot does.
@@ -66,6 +69,8 @@ struct File {
     robot: Option<RobotParams>,
     #[serde(default)]
     finder: Finder,
+    /// An ultrasonic ring, METRO-I's by default; without the table there is none.
+    sonar: Option<RingParams>,
     #[serde(default)]
     maps: MapParams,
     /// On by default over a level ground plane, and off elsewhere.
@@ -121,6 +126,11 @@ impl Scenario {
         }
         let image = file.finder.image.validated().map_err(here)?;
         let scene = file.world.build(&source)?;
+        let at_key = |fault: Fault| match source.line_of_key(&fault.what) {
+            Some(line) => here(fault.at_line(line)),
+            None => here(fault),
+        };
+        let sonar = file.sonar.map(RingParams::validated).transpose().map_err(at_key)?;
         let drift = file.drift.unwrap_or_else(|| drift_over(&scene)).validated().map_err(here)?;
         Ok(Self {
             scene,
@@ -138,6 +148,7 @@ impl Scenario {
                 drift,
             },
             image,
+            sonar,
             mission: file.mission.validated().map_err(here)?,
             text: source.text,
         })
@@ -161,6 +172,7 @@ impl Scenario {
             true_rig: Rig::metro_i(),
             sweep: SweepParams::default(),
             image: ImageParams::default(),
+            sonar: None,
             mission: look_and_move(),
         })
     }

@@ -1,4 +1,5 @@
-//! Captures from a simulated METRO-I: the mission drives, physics moves, servos turn, the camera takes slit images.
+//! Captures from a simulated METRO-I: the mission drives, physics moves, servos turn, the camera takes slit images, and the
+//! ultrasonic ring, if there is one, fires in between.
 //! The only source that sees both sides of the truth barrier: truth leaves it beside a capture, never in it.
 
 use std::sync::Arc;
@@ -6,8 +7,9 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3};
 
 use super::scenario::Scenario;
+use super::ultrasound::{Heard, Instant, Ultrasound};
 use crate::fault::{Fault, Result};
-use crate::geometry::{Odom, Robot, Transform, World};
+use crate::geometry::{Odom, Robot, Transducer, Transform, World};
 use crate::image::{Capture, Drop, Dropped, Reading};
 use crate::maps::{Maps, PlanView};
 use crate::navigation::{FollowParams, Follower, MissionProgress, ScanKind, ScanRequest};
@@ -34,6 +36,8 @@ pub struct Shot {
     pub capture: Capture,
     /// The truth.
     pub truth: ShotTruth,
+    /// What the ultrasonic ring heard since the shot before, in time order; nothing of it is later than the capture.
+    pub heard: Vec<Heard>,
     /// What the mission said meanwhile.
     pub notes: Vec<String>,
 }
@@ -69,6 +73,7 @@ pub struct Simulation {
     scanning: ScanRequest,
     renderer: Renderer,
     surfaces: Surfaces,
+    ultrasound: Option<Ultrasound>,
     follower: Follower,
     plan: PlanView,
     plan_made_s: f64,
@@ -89,6 +94,7 @@ impl Simulation {
         let exposure_s = scenario.image.exposure_s;
         let sweep_params = scenario.sweep.clone();
         let stops = sweep_params.stops(&sweep_params.driving, &scenario.rig)?;
+        let ring = |params| Ultrasound::new(params, &scenario.scene, mix(scenario.seed, 3));
         for absent in &scenario.scene.absent {
             notes.push(format!("not simulated: {absent}"));
         }
@@ -100,6 +106,7 @@ impl Simulation {
             drive: robot.new_drive()?,
             renderer: Renderer::new(&scenario.true_rig, scenario.image, &scenario.scene)?,
             surfaces: Surfaces::new(&scenario.scene)?,
+            ultrasound: scenario.sonar.map(ring).transpose()?,
             follower: Follower::new(&scenario.mission, follower_params(robot))?,
             scene: scenario.scene.clone(),
             rig: scenario.rig.clone(),
@@ -160,7 +167,8 @@ impl Simulation {
         }
         self.drive.command(BodyCommand::travel(command.v_m_s, command.omega_rad_s))?;
         let motion = self.drive.advance(dt_s);
-        self.world_from_robot_before = self.physics.robot_pose();
+        let before = self.instant();
+        self.world_from_robot_before = before.world_from_robot;
         self.physics.step(self.drive.rolling())?;
         self.odometry.advance(self.drive.as_ref(), &motion, &self.physics.robot_pose())?;
         if self.physics.tilt_rad() > TIPPED_RAD {
@@ -168,7 +176,36 @@ impl Simulation {
                 format!("a lean of {:.0}° at {:.1} s", self.physics.tilt_rad().to_degrees(), self.physics.elapsed_s());
             return Err(Fault::new("robot", found, "a robot that stands: it has tipped over"));
         }
+        self.listen(&before)?;
         Ok(self.sweep.advance(&mut self.head, dt_s))
+    }
+
+    /// The robot now.
+    fn instant(&self) -> Instant {
+        let (world_from_robot, odom_from_robot) = (self.physics.robot_pose(), self.odometry.pose());
+        Instant { stamp: self.now(), world_from_robot, odom_from_robot }
+    }
+
+    /// What the ring has to fire in the step of time since then.
+    fn listen(&mut self, before: &Instant) -> Result<()> {
+        let now = self.instant();
+        let Some(ultrasound) = self.ultrasound.as_mut().filter(|ring| ring.is_due(now.stamp)) else { return Ok(()) };
+        for (index, body) in self.scene.bodies.iter().enumerate() {
+            if let (Motion::Dynamic { .. }, Some(pose)) = (body.motion, self.physics.body_pose(index)) {
+                ultrasound.set_pose(index, pose)?;
+            }
+        }
+        ultrasound.advance(before, &now)
+    }
+
+    /// The ring's transducers: frame, and where on the robot.
+    pub fn transducers(&self) -> Vec<(String, Transform<Robot, Transducer>)> {
+        self.ultrasound.as_ref().map(Ultrasound::transducers).unwrap_or_default()
+    }
+
+    /// What the ring heard since it was last asked: after the last shot, what came after that.
+    pub fn take_heard(&mut self) -> Vec<Heard> {
+        self.ultrasound.as_mut().map(Ultrasound::take).unwrap_or_default()
     }
 
     /// The exposure whose middle is now: the image, and what is true.
@@ -194,7 +231,7 @@ impl Simulation {
         };
         self.frame += 1;
         let truth = ShotTruth { world_from_robot, sights: exposure.truth, moved };
-        Ok(Shot { capture, truth, notes: std::mem::take(&mut self.notes) })
+        Ok(Shot { capture, truth, heard: self.take_heard(), notes: std::mem::take(&mut self.notes) })
     }
 
     /// How far the robot gets during an exposure at the speed of this step of time; the head stands still then.

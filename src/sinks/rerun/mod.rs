@@ -10,7 +10,10 @@
 //! /world/occupancy/I_J_K     occupied voxels of a block, coloured by height
 //! /world/terrain/I_J         a tile of the terrain mesh, coloured by height
 //! /path/{estimated,true}     where the robot went
+//! /world/sonar/FRAME         the last range of each ultrasonic transducer
+//! /world/echoes              where each echo truly came from (simulation), else where it seems to
 //! /plan                      the plan view
+//! /plan_ultrasonic, /plan_fused  the ultrasonic layer, and both together
 //! /camera/image, image/line  the capture and the line found in it
 //! /metrics/..., /log, /about
 //! ```
@@ -20,6 +23,7 @@ mod draw;
 mod maps;
 mod scene;
 mod serve;
+mod sonar;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -175,15 +179,16 @@ impl Sink for RerunSink {
         let Some(run) = self.run.as_mut() else {
             return Err(Fault::new("drawing a step", "no begin before it", "begin, step, finish"));
         };
-        let at = frame.step.stamp.0;
-        let time = if at < EPOCH_NS_MIN {
-            TimeCell::from_duration_nanos(at)
-        } else {
-            TimeCell::from_timestamp_nanos_since_epoch(at)
-        };
-        run.out.0.set_time("sim_time", time);
-        run.out.0.set_time("scan", TimeCell::from_sequence(i64::try_from(frame.step.id).unwrap_or(i64::MAX)));
-        if !run.begun {
+        for ranged in &frame.ranges {
+            run.out.0.set_time("sim_time", time_cell(ranged.step.reading.stamp.0));
+            sonar::draw(&run.out, ranged)?;
+        }
+        run.out.0.set_time("sim_time", time_cell(frame.stamp().0));
+        if let Some(step) = &frame.step {
+            run.out.0.set_time("scan", TimeCell::from_sequence(i64::try_from(step.id).unwrap_or(i64::MAX)));
+        }
+        let new_sensor = run.drawing.note_sensors(frame);
+        if !run.begun || new_sensor {
             run.begun = true;
             run.drawing.send_blueprint(&run.out)?;
         }
@@ -203,6 +208,15 @@ impl Sink for RerunSink {
         run.out.0.flush_with_timeout(Duration::from_secs(FLUSH_S_MAX)).map_err(unfinished)?;
         run.out.0.finalize_deferred_sinks();
         self.files.iter().try_for_each(|file| check_file(file))
+    }
+}
+
+/// A stamp in the viewer: of a run, or of the world's clock.
+fn time_cell(at_ns: i64) -> TimeCell {
+    if at_ns < EPOCH_NS_MIN {
+        TimeCell::from_duration_nanos(at_ns)
+    } else {
+        TimeCell::from_timestamp_nanos_since_epoch(at_ns)
     }
 }
 
@@ -272,6 +286,8 @@ mod tests {
         Start {
             name: "a name / with marks".into(),
             rig: Rig::metro_i(),
+            has_finder: true,
+            transducers: vec![],
             scene: vec![
                 ("box/1 \u{fc}".into(), [200, 100, 50], mesh),
                 ("empty".into(), [0; 3], Arc::new(Mesh::default())),
@@ -296,6 +312,7 @@ mod tests {
             blocks: vec![([0, -1, 2], vec![[0.1, 0.2, 0.3]]), ([5, 5, 5], vec![])],
             tiles: vec![([0, -3], tile), ([1, 1], TerrainMesh::default())],
             plan: Some(plan),
+            layers: None,
         };
         let moved = vec![(0, nalgebra::Isometry3::translation(0.1, 0.0, 0.0)), (99, nalgebra::Isometry3::identity())];
         let step = Step {
@@ -311,7 +328,8 @@ mod tests {
             dropped,
         };
         Frame {
-            step: Arc::new(step),
+            ranges: vec![],
+            step: Some(Arc::new(step)),
             image: (id != 1).then(|| Arc::new(Image::new(512, 480, 127, vec![3; 512 * 480]).unwrap())),
             truth: Some(Truth { world_from_robot, moved, point_rms_m: Some(0.004) }),
             maps: (id == 2).then(|| Arc::new(maps)),
@@ -380,6 +398,87 @@ mod tests {
         assert_eq!(rows.get(&body), Some(&2), "{body}: the mesh, and one move: the next is the same");
         let views = rows.keys().filter(|key| key.starts_with("layout:/view/") && key.ends_with("/ViewContents"));
         assert_eq!(views.count(), 9, "{rows:?}");
+    }
+
+    /// A frame with ranges alone: one by a straight echo, one by a ghost, one silent, one without truth.
+    fn ranges(at_ms: i64) -> Frame {
+        use crate::ranges::{RangeReading, transducer_frame};
+        use crate::sonar::{Aim, Echo, EchoKind, Ping, Reading};
+        let ranged = |number: usize, range_m: Option<f32>, surfaces: Option<u8>| {
+            let stamp = Stamp(at_ms * 1_000_000 + number as i64);
+            let reading = RangeReading {
+                stamp,
+                frame: transducer_frame(number),
+                robot_from_transducer: Transform::identity(),
+                field_of_view_rad: 0.5,
+                range_m_min: 0.4,
+                range_m_max: 10.0,
+                range_m,
+                odom_from_robot: Transform::identity(),
+            };
+            let aim = Aim { at: crate::geometry::Point::new(0.0, 0.0, 0.4), axis: Vector3::x() };
+            let echo = |surfaces| Echo {
+                range_m: 2.0,
+                way_m: 4.0,
+                level_db: -10.0,
+                margin_db: 20.0,
+                kind: EchoKind::Wall,
+                body: 0,
+                place: crate::geometry::Point::new(2.0, 0.1, 0.4),
+                surfaces,
+                source: number,
+                late: false,
+            };
+            let ping = surfaces.map(|surfaces| Ping {
+                reading: Reading { stamp, transducer: number, ranges_m: vec![2.0] },
+                echoes: vec![echo(surfaces)],
+                causes: vec![0],
+                aim,
+            });
+            let step = crate::pipeline::RangeStep {
+                reading,
+                world_from_robot: Transform::identity(),
+                world_from_transducer: Transform::identity(),
+                dropped: Dropped::default(),
+            };
+            crate::sinks::Ranged { step, ping }
+        };
+        let ranges = vec![
+            ranged(0, Some(2.0), Some(1)),
+            ranged(1, Some(2.0), Some(3)),
+            ranged(2, None, None),
+            ranged(3, Some(1.0), None),
+        ];
+        let plan = PlanView { resolution_m: 0.1, origin_m: [0.0; 2], width: 2, height: 1, cells: vec![0, 100] };
+        let layers = crate::maps::Layers { laser: plan.clone(), ultrasonic: plan.clone(), fused: plan };
+        let maps = MapChanges { layers: Some(layers), ..MapChanges::default() };
+        let (log, dropped) = (vec![], Dropped::default());
+        Frame { ranges, step: None, image: None, truth: None, maps: Some(Arc::new(maps)), log, dropped }
+    }
+
+    #[test]
+    fn both_sensors_stand_side_by_side() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("view.rrd");
+        let start = start();
+        let mut sink = RerunSink::new(&[Target::Save(file.clone())]).unwrap();
+        sink.begin(&start).unwrap();
+        sink.step(&frame(&start, 0)).unwrap();
+        sink.step(&ranges(150)).unwrap();
+        sink.step(&frame(&start, 2)).unwrap();
+        sink.finish(Stamp(0)).unwrap();
+        let (rows, _, _) = read(&file);
+        for number in 0..4 {
+            assert_eq!(rows.get(&format!("/world/sonar/sonar_0{number}")), Some(&1), "{rows:?}");
+        }
+        for (entity, count) in
+            [("/world/echoes", 3), ("/plan_ultrasonic", 1), ("/plan_fused", 1), ("/world/profile", 2)]
+        {
+            assert_eq!(rows.get(entity), Some(&count), "{entity} in {rows:?}");
+        }
+        // Two scenes, three plans, camera, voxels, terrain, two plots, log and page; and of the first layout the plan view.
+        let views = rows.keys().filter(|key| key.starts_with("layout:/view/") && key.ends_with("/ViewContents"));
+        assert_eq!(views.count(), 12, "{rows:?}");
     }
 
     #[test]

@@ -3,6 +3,8 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use toml::de::{DeTable, DeValue};
+
 use super::super::mesh;
 use crate::fault::{Fault, Result};
 
@@ -35,6 +37,22 @@ impl Source {
     pub fn line_of(&self, byte_offset: usize) -> usize {
         let before = self.text.as_bytes().iter().take(byte_offset);
         1 + before.filter(|byte| **byte == b'\n').count()
+    }
+
+    /// The line, from 1, of a key by its dotted path, such as `sonar.air.temperature_k`; of the table it would stand in, if it
+    /// is not there; `None` if there is nothing of the path.
+    pub fn line_of_key(&self, path: &str) -> Option<usize> {
+        let document = DeTable::parse(&self.text).ok()?;
+        let (mut table, mut at) = (document.get_ref(), None);
+        for name in path.split('.') {
+            let Some((key, value)) = table.iter().find(|(key, _)| key.get_ref() == name) else { break };
+            at = Some(key.span().start);
+            match value.get_ref() {
+                DeValue::Table(inner) => table = inner,
+                _ => break,
+            }
+        }
+        at.map(|offset| self.line_of(offset))
     }
 
     /// A path of the scenario, from its folder.
