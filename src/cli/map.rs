@@ -10,7 +10,7 @@ use super::session::{Session, stop_requested};
 use super::summary::Summary;
 use super::tell::tell;
 use crate::fault::{Fault, Result};
-use crate::image::{Capture, Drop, Dropped};
+use crate::image::{Drop, Dropped};
 use crate::optics::Rig;
 use crate::pipeline::{Pipeline, PipelineParams};
 use crate::sources::images::ImageFolder;
