@@ -13,6 +13,7 @@ use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::pipeline::{ActiveHooks, ContactModificationContext, PhysicsHooks, PhysicsWorld, QueryFilter};
 
 use super::body::{Body, Mesh, Motion, Scene, Shape};
+use super::movers::Mover;
 use crate::fault::{Fault, Result, number_within};
 use crate::geometry::{Robot, Transform, World};
 
@@ -128,6 +129,7 @@ struct Placed {
 pub struct Physics {
     world: PhysicsWorld,
     bodies: Vec<Placed>,
+    movers: Vec<Mover>,
     colliders: Vec<(ColliderHandle, usize)>,
     robot: RigidBodyHandle,
     chassis: ColliderHandle,
@@ -174,6 +176,7 @@ impl Physics {
         Ok(Self {
             world,
             bodies,
+            movers: scene.movers.clone(),
             colliders,
             robot: robot_handle,
             chassis,
@@ -209,6 +212,7 @@ impl Physics {
             (wheel, turn * Vector::Z.cross(velocity))
         });
         let hooks = Belts(belts.collect());
+        self.move_by_script()?;
         self.world.step_with_events(&hooks, &());
         self.steps += 1;
         self.count_collisions();
@@ -253,6 +257,20 @@ impl Physics {
         let now = self.touched.iter().filter(|t| t.1 == self.steps);
         let index = |hit: &ColliderHandle| self.colliders.iter().find(|c| c.0 == *hit).map(|c| c.1);
         now.filter_map(|(hit, _)| index(hit)).filter_map(|i| Some((i, self.bodies.get(i)?.name.as_str()))).collect()
+    }
+
+    /// Tells what moves by script where to be after the step.
+    fn move_by_script(&mut self) -> Result<()> {
+        let then_s = (self.steps + 1) as f64 * self.dt_s;
+        for mover in &self.movers {
+            let moved = mover.moved(then_s);
+            for placed in mover.bodies.iter().filter_map(|index| self.bodies.get(*index)) {
+                if let Some(body) = placed.handle.and_then(|handle| self.world.bodies.get_mut(handle)) {
+                    body.set_next_kinematic_position(pose(&(moved * placed.start))?);
+                }
+            }
+        }
+        Ok(())
     }
 
     fn count_collisions(&mut self) {
@@ -305,6 +323,11 @@ fn place(world: &mut PhysicsWorld, body: &Body) -> Result<(Option<RigidBodyHandl
         .restitution(0.0);
     match body.motion {
         Motion::Static => Ok((None, world.insert_collider(collider.position(at * turned), None))),
+        Motion::Scripted => {
+            let body = RigidBodyBuilder::kinematic_position_based().pose(at);
+            let (handle, collider) = world.insert(body, collider.position(turned));
+            Ok((Some(handle), collider))
+        }
         Motion::Dynamic { mass_kg } => {
             let mass_kg = number_within("mass_kg", mass_kg, 1e-3, 1e6).map_err(named)?;
             let collider = collider.mass(mass_kg as f32).position(turned);
@@ -348,7 +371,7 @@ fn mesh_shape(mesh: &Mesh, motion: Motion) -> Result<SharedShape> {
     }
     let vertices: Vec<_> = mesh.vertices.iter().map(glam).collect();
     match motion {
-        Motion::Static => {
+        Motion::Static | Motion::Scripted => {
             // Without it a wheel trips over the edges between the triangles of flat ground.
             let flags = TriMeshFlags::FIX_INTERNAL_EDGES_TWO_SIDED;
             SharedShape::trimesh_with_flags(vertices, mesh.triangles.clone(), flags)

@@ -17,7 +17,8 @@ pub use self::source::{Source, toml_fault};
 
 use self::build::Builder;
 use self::spec::{
-    BoxSpec, Common, CylinderSpec, GroundSpec, HeightfieldSpec, MaterialSpec, MeshSpec, Number, SphereSpec, TableSpec,
+    BoxSpec, Common, CylinderSpec, GroundSpec, HeightfieldSpec, MaterialSpec, MeshSpec, MoverSpec, Number, SphereSpec,
+    SunlitSpec, TableSpec,
 };
 use super::body::{Scene, Shape};
 use super::sdf;
@@ -42,6 +43,8 @@ pub struct WorldSpec {
     table: Vec<TableSpec>,
     heightfield: Vec<HeightfieldSpec>,
     mesh: Vec<MeshSpec>,
+    mover: Vec<MoverSpec>,
+    sunlit: Vec<SunlitSpec>,
 }
 
 impl WorldSpec {
@@ -67,6 +70,12 @@ impl WorldSpec {
         }
         scene.name = source.file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         builder.ground(self.ground.as_ref())?;
+        for spec in &self.mover {
+            builder.mover(spec)?;
+        }
+        for spec in &self.sunlit {
+            scene.sunlit.push(builder.sunlit(spec)?);
+        }
         for spec in &self.r#box {
             builder.upright(&spec.common("box"), false, |b, c| b.cuboid(c, &spec.size))?;
         }

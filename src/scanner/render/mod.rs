@@ -6,6 +6,7 @@
 //! - `speckle`: a fixed pattern of 0.04 px at f/2, and a contrast of the light, that belong to the place on the surface;
 //! - `split`: an edge within the sheet's thickness parts the stripe in two, or leaves a mixed one;
 //! - `bounce`: a flat glossy surface throws the sheet on something else: a false line;
+//! - `sun`: parts of the world in direct sun;
 //! - `smear`: a moving robot or mirror during the exposure.
 //!
 //! Absent: light that goes from diffuse surface to diffuse surface; stripes that the camera sees in a mirror; ambient
@@ -16,6 +17,7 @@ mod light;
 mod smear;
 mod speckle;
 mod split;
+mod sun;
 mod trace;
 
 use nalgebra::{Isometry3, Matrix3, Vector3};
@@ -31,6 +33,7 @@ use crate::world::{Material, Scene, Surfaces};
 use bounce::Mirror;
 use light::Glimpse;
 use speckle::Speckle;
+use sun::Sun;
 use trace::{PARTS, Trace};
 
 type V3 = Vector3<f64>;
@@ -103,6 +106,7 @@ pub struct Renderer {
     sensor: Sensor,
     bell: Bell,
     speckle: Speckle,
+    sun: Sun,
     /// The camera sees what has x, y between these times z (camera frame): x from, to, y from, to.
     field: [f64; 4],
 }
@@ -148,7 +152,13 @@ impl Renderer {
         let is_glossy = materials.iter().any(|material| material.gloss > 0.0);
         let (sensor, field) = (sensor(&rig, &params, ambient), field_of_view(&rig)?);
         let speckle = Speckle::new(&rig, &params);
-        Ok(Self { rig, params, materials, is_glossy, sensor, bell: Bell::new(), speckle, field })
+        let sun = Sun::new(
+            &rig,
+            scene,
+            params.vignetting,
+            electrons_of(&rig, &params, params.filter_bandwidth_nm / 10.0, 1.0),
+        );
+        Ok(Self { rig, params, materials, is_glossy, sensor, bell: Bell::new(), speckle, sun, field })
     }
 
     /// The parameters in use.
@@ -205,6 +215,7 @@ impl Renderer {
             let view = self.view(surfaces, &moment, seed)?;
             view.shine(view.trace(None), share, &mut light);
         }
+        self.shine_sun(surfaces, &view.eye, &view.turn.transpose(), &mut light);
         Ok(Exposure { image: self.sensor.read(light, seed, frame)?, truth })
     }
 
@@ -269,11 +280,7 @@ fn column_of(part: i32) -> i32 {
 
 /// The sensor with the light that falls on it without the laser.
 fn sensor(rig: &Rig, params: &ImageParams, ambient_w_per_m2: f64) -> Sensor {
-    // A pixel sees radiance ρE/π through the solid angle π/(4N²).
-    let pitch = params.focal_length_m * params.focal_length_m / (rig.camera.fx * rig.camera.fy);
-    let irradiance = params.background_w_per_m2(ambient_w_per_m2);
-    let power_w = irradiance * params.ambient_albedo / (4.0 * params.f_number * params.f_number) * pitch;
-    let ambient = power_w * params.exposure_s * params.electrons_per_joule(rig.sheet.wavelength_m);
+    let ambient = electrons_of(rig, params, params.background_w_per_m2(ambient_w_per_m2), params.ambient_albedo);
     let detector = Detector {
         well_electrons: params.well_electrons,
         read_noise_electrons: params.read_noise_electrons,
@@ -283,6 +290,14 @@ fn sensor(rig: &Rig, params: &ImageParams, ambient_w_per_m2: f64) -> Sensor {
     };
     let fall_off = |u: f64, v: f64| rig.camera.ray(u, v).map_or(0.0, |ray| ray.norm().powf(-params.vignetting));
     Sensor::shaded(detector, rig.camera.width, rig.camera.height, |u, v| ambient * (1.0 - fall_off(u, v)))
+}
+
+/// What a surface of this albedo under an irradiance [W/m²] within the band-pass leaves in a pixel in the middle of the image.
+fn electrons_of(rig: &Rig, params: &ImageParams, irradiance_w_per_m2: f64, albedo: f64) -> f64 {
+    // A pixel sees radiance ρE/π through the solid angle π/(4N²).
+    let pitch = params.focal_length_m * params.focal_length_m / (rig.camera.fx * rig.camera.fy);
+    let power_w = irradiance_w_per_m2 * albedo / (4.0 * params.f_number * params.f_number) * pitch;
+    power_w * params.exposure_s * params.electrons_per_joule(rig.sheet.wavelength_m)
 }
 
 /// The bounds of the lines of sight along the image's edge, as x/z and y/z in the camera's frame.
