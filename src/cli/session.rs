@@ -211,6 +211,7 @@ fn merged(earlier: &MapChanges, later: MapChanges) -> MapChanges {
     both.blocks.extend(later.blocks);
     both.tiles.extend(later.tiles);
     both.plan = later.plan.or(both.plan);
+    both.layers = later.layers.or(both.layers);
     both
 }
 

@@ -27,7 +27,7 @@ pub enum Drop {
     Isolated,
     /// The line of sight does not meet the sheet in front of the camera.
     NoPoint,
-    /// Farther than the finder is trusted.
+    /// Farther than the finder is trusted; an ultrasonic range outside its transducer's limits.
     OutOfRange,
     /// Triangulated to below the sheet's origin or with a covariance too large to be of use.
     Uncertain,

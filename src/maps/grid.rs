@@ -17,7 +17,7 @@ pub const BLOCK: usize = 8;
 /// Voxels of a block.
 const CELLS: usize = BLOCK * BLOCK * BLOCK;
 /// The log-odds of a voxel that was never seen.
-const UNKNOWN: i16 = i16::MIN;
+pub(super) const UNSEEN: i16 = i16::MIN;
 /// A free ray ends at most this many voxels before its point, however flat it comes in.
 const GAP_VOXELS_MAX: f64 = 8.0;
 
@@ -92,9 +92,9 @@ pub enum State {
 }
 
 impl State {
-    fn of(log_odds: i16) -> Self {
+    pub(super) fn of(log_odds: i16) -> Self {
         match log_odds {
-            UNKNOWN => Self::Unknown,
+            UNSEEN => Self::Unknown,
             1.. => Self::Occupied,
             _ => Self::Free,
         }
@@ -115,6 +115,12 @@ impl Block {
     pub fn column(&self, x: usize, y: usize) -> [State; BLOCK] {
         let at = (x % BLOCK * BLOCK + y % BLOCK) * BLOCK;
         std::array::from_fn(|z| State::of(self.cells[at + z]))
+    }
+
+    /// The log-odds of the same voxels in thousandths, `UNSEEN` where they are unknown.
+    pub(super) fn log_odds(&self, x: usize, y: usize) -> &[i16] {
+        let at = (x % BLOCK * BLOCK + y % BLOCK) * BLOCK;
+        &self.cells[at..at + BLOCK]
     }
 
     /// The key of a voxel from its index in `cells`.
@@ -163,6 +169,16 @@ impl Grid {
     /// What it was made with.
     pub fn params(&self) -> &GridParams {
         &self.params
+    }
+
+    /// What one line of sight adds to a log-odds [thousandths].
+    pub(super) fn miss(&self) -> i16 {
+        self.miss
+    }
+
+    /// Between which log-odds stay [thousandths].
+    pub(super) fn log_odds_range(&self) -> (i16, i16) {
+        self.range
     }
 
     /// Takes one capture: each point's voxel is hit, the lines from the camera and (where it is known) from the laser
@@ -354,7 +370,7 @@ impl Grid {
                 Some(at) => *at as usize,
                 None if self.blocks.len() < self.params.blocks_max => {
                     self.index.insert(marked.packed, self.blocks.len() as u32);
-                    self.blocks.push(Block { key: marked.key, cells: Box::new([UNKNOWN; CELLS]) });
+                    self.blocks.push(Block { key: marked.key, cells: Box::new([UNSEEN; CELLS]) });
                     self.blocks.len() - 1
                 }
                 None => {
@@ -378,7 +394,7 @@ impl Grid {
             let at = x * BLOCK * BLOCK + bits.trailing_zeros() as usize;
             bits &= bits - 1;
             let before = block.cells[at];
-            let after = (if before == UNKNOWN { 0 } else { before } + change).clamp(self.range.0, self.range.1);
+            let after = (if before == UNSEEN { 0 } else { before } + change).clamp(self.range.0, self.range.1);
             block.cells[at] = after;
             let (was, is) = (State::of(before), State::of(after));
             if was != is {
@@ -489,7 +505,7 @@ mod tests {
             grid.insert_points(&vectors(&[origin]), vectors(&[point; 5]));
             prop_assert_eq!(grid.state(Point::new(point[0], point[1], point[2])), State::Occupied);
             let logs: BTreeSet<i16> = grid.blocks.iter().flat_map(|b| b.cells.iter().copied()).collect();
-            prop_assert!(logs.iter().all(|l| [UNKNOWN, 850, -400].contains(l)), "{logs:?}");
+            prop_assert!(logs.iter().all(|l| [UNSEEN, 850, -400].contains(l)), "{logs:?}");
             prop_assert_eq!(grid.occupied_count(), 1);
         }
     }

@@ -1,14 +1,16 @@
-//! Maps: 3D occupancy, terrain mesh and plan view, behind one small interface.
+//! Maps: 3D occupancy, terrain mesh, plan view and ultrasonic layer, behind one small interface.
 
 mod cone;
 mod grid;
 mod ground;
 mod key;
+mod layers;
 mod mask;
 mod plan_view;
 mod ray;
 mod surface;
 mod terrain;
+mod ultrasonic;
 
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
@@ -16,17 +18,20 @@ use std::sync::OnceLock;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::fault::Result;
-use crate::geometry::{Robot, Transform, World};
+use crate::fault::{Fault, Result};
+use crate::geometry::{Robot, Transducer, Transform, World};
 use crate::image::{Drop, Dropped};
 use crate::points::Profile;
+use crate::ranges::RangeReading;
 
-pub use cone::{ConeParams, Evidence, evidence};
+pub use cone::{Cone, ConeParams, Evidence, evidence};
 pub use grid::{BLOCK, Block, Grid, GridParams, State};
 pub use ground::{Ground, Terrain, TerrainParams};
+pub use layers::Layers;
 pub use plan_view::PlanParams;
 pub use surface::Surface;
 pub use terrain::{Face, Sample, Tin};
+pub use ultrasonic::Ultrasonic;
 
 /// The plan view: a 2D occupancy grid as ROS has it.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,6 +68,8 @@ pub struct MapChanges {
     pub tiles: Vec<([i32; 2], TerrainMesh)>,
     /// The plan view, if it changed.
     pub plan: Option<PlanView>,
+    /// Laser, ultrasonic and both, if any of them changed; never without ultrasonic ranges.
+    pub layers: Option<Layers>,
 }
 
 /// How the maps are kept.
@@ -75,12 +82,25 @@ pub struct MapParams {
     pub terrain: TerrainParams,
     /// The plan view.
     pub plan: PlanParams,
+    /// What ultrasonic ranges say of the plan view's cells.
+    #[serde(skip_serializing_if = "is_default")]
+    pub cone: ConeParams,
+}
+
+/// What is as it always is need not be written down.
+fn is_default(cone: &ConeParams) -> bool {
+    *cone == ConeParams::default()
 }
 
 impl MapParams {
     /// Refuses values that make no maps.
     pub fn validated(self) -> Result<Self> {
-        Ok(Self { grid: self.grid.validated()?, terrain: self.terrain.validated()?, plan: self.plan.validated()? })
+        Ok(Self {
+            grid: self.grid.validated()?,
+            terrain: self.terrain.validated()?,
+            plan: self.plan.validated()?,
+            cone: self.cone.validated()?,
+        })
     }
 }
 
@@ -123,6 +143,7 @@ struct Derived {
     ground: OnceLock<Ground>,
     surface: OnceLock<Surface>,
     plan: OnceLock<PlanView>,
+    layers: OnceLock<Option<Layers>>,
 }
 
 /// What was last handed out by `changes`.
@@ -130,6 +151,7 @@ struct Derived {
 struct Shown {
     tiles: BTreeMap<[i32; 2], TerrainMesh>,
     plan: Option<PlanView>,
+    layers: Option<Layers>,
 }
 
 /// All maps of a run.
@@ -137,6 +159,7 @@ pub struct Maps {
     params: MapParams,
     grid: Grid,
     terrain: Terrain,
+    ultrasonic: Ultrasonic,
     robot_m: [f64; 2],
     derived: Derived,
     shown: Shown,
@@ -146,9 +169,11 @@ impl Maps {
     /// Empty maps; an error where the parameters make none.
     pub fn new(params: MapParams) -> Result<Self> {
         let params = params.validated()?;
+        let grid = Grid::new(params.grid)?;
         Ok(Self {
             params,
-            grid: Grid::new(params.grid)?,
+            ultrasonic: Ultrasonic::new(params.cone, &grid),
+            grid,
             terrain: Terrain::new(params.terrain)?,
             robot_m: [0.0; 2],
             derived: Derived::default(),
@@ -174,6 +199,40 @@ impl Maps {
         self.robot_m = [world_from_robot.xyz().x, world_from_robot.xyz().y];
         self.derived = Derived::default();
         dropped
+    }
+
+    /// Takes one ultrasonic range, and where its transducer was then.
+    ///
+    /// # Errors
+    /// A pose that is not finite (`BadPose`), or too far away (`OutOfRange`): nothing has changed then.
+    pub fn hear(
+        &mut self,
+        reading: &RangeReading,
+        world_from_transducer: &Transform<World, Transducer>,
+    ) -> Result<Dropped, (Drop, Fault)> {
+        let refused_before = self.ultrasonic.refused_count();
+        self.ultrasonic.insert(reading, world_from_transducer)?;
+        self.derived.layers = OnceLock::new();
+        let mut dropped = Dropped::default();
+        dropped.add_many(Drop::MapFull, self.ultrasonic.refused_count() - refused_before);
+        Ok(dropped)
+    }
+
+    /// The ultrasonic layer.
+    pub fn ultrasonic(&self) -> &Ultrasonic {
+        &self.ultrasonic
+    }
+
+    /// What laser and ultrasound say of the same cells, apart and together; `None` where there was no ultrasonic range, or
+    /// nothing is known. Made anew after a capture or a range: some milliseconds for 10 x 10 m.
+    pub fn layers(&self) -> Option<Layers> {
+        let make = || {
+            let bounds = self.ultrasonic.bounds()?;
+            let (plan, cell_m) = (&self.params.plan, self.params.grid.voxel_m);
+            let columns = plan_view::columns(&self.grid, self.ground(), self.robot_m, plan, Some(bounds))?;
+            layers::layers(&columns, &self.ultrasonic, cell_m)
+        };
+        self.derived.layers.get_or_init(make).clone()
     }
 
     /// The 3D occupancy grid.
@@ -223,14 +282,19 @@ impl Maps {
         changed.extend(new.map(|(key, tile)| (*key, tile.clone())));
         changed.sort_by_key(|(key, _)| *key);
         let plan = (self.shown.plan.as_ref() != Some(&plan)).then_some(plan);
+        let layers = self.layers().filter(|layers| self.shown.layers.as_ref() != Some(layers));
         self.shown.tiles = tiles;
+        if layers.is_some() {
+            self.shown.layers.clone_from(&layers);
+        }
         if let Some(plan) = &plan {
             self.shown.plan = Some(plan.clone());
         }
-        MapChanges { voxel_m: self.params.grid.voxel_m, blocks: self.grid.take_changes(), tiles: changed, plan }
+        MapChanges { voxel_m: self.params.grid.voxel_m, blocks: self.grid.take_changes(), tiles: changed, plan, layers }
     }
 
-    /// The SHA-256 of all that the maps hold: log-odds, heights, and the mesh. Equal maps have equal digests.
+    /// The SHA-256 of all that the maps hold: log-odds, heights, the mesh, and the ultrasonic layer where there is one. Equal
+    /// maps have equal digests.
     pub fn digest(&self) -> String {
         let mut hasher = Sha256::new();
         let feed = &mut |bytes: &[u8]| hasher.update(bytes);
@@ -239,6 +303,7 @@ impl Maps {
         let mesh = self.surface().mesh();
         mesh.vertices.iter().flatten().for_each(|c| feed(&c.to_le_bytes()));
         mesh.triangles.iter().flatten().for_each(|c| feed(&c.to_le_bytes()));
+        self.ultrasonic.digest_into(feed);
         hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
@@ -262,13 +327,14 @@ impl Maps {
 
     /// How many updates were refused because a map had reached its cap.
     pub fn refused_count(&self) -> u64 {
-        self.grid.refused_count() + self.terrain.refused_count()
+        self.grid.refused_count() + self.terrain.refused_count() + self.ultrasonic.refused_count()
     }
 
     /// Checks what must always hold.
     pub fn check(&self) -> std::result::Result<(), String> {
         self.grid.check()?;
         self.terrain.check()?;
+        self.ultrasonic.check()?;
         self.surface().check(self.ground()).map(|_| ())
     }
 }

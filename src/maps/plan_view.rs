@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::PlanView;
-use super::grid::{BLOCK, Block, Grid, State};
+use super::grid::{BLOCK, Block, Grid, State, UNSEEN};
 use super::ground::Ground;
 use crate::fault::{Result, number_within};
 
@@ -43,17 +43,25 @@ const OCCUPIED: i8 = 100;
 
 /// A window of columns of voxels: keys from `low`, `width` by `height`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Window {
-    low: [i32; 2],
-    width: usize,
-    height: usize,
+pub(super) struct Window {
+    pub low: [i32; 2],
+    pub width: usize,
+    pub height: usize,
 }
 
 impl Window {
-    fn index(&self, [x, y]: [i32; 2]) -> Option<usize> {
+    /// The index of a column, row by row from the lowest y.
+    pub fn index(&self, [x, y]: [i32; 2]) -> Option<usize> {
         let (x, y) = (usize::try_from(x - self.low[0]).ok()?, usize::try_from(y - self.low[1]).ok()?);
         (x < self.width && y < self.height).then(|| y * self.width + x)
     }
+}
+
+/// What is known of columns: log-odds in thousandths, `UNSEEN` where nothing is. A column is as likely occupied as the
+/// likeliest of its voxels; where only its ground was seen, as after one line of sight.
+pub(super) struct Columns {
+    pub window: Window,
+    pub log_odds: Vec<i16>,
 }
 
 /// The view from above. A column is occupied if a voxel whose middle is more than the clearance over the ground and not
@@ -61,6 +69,36 @@ impl Window {
 /// ground was not seen, that of the nearest column counts, and 0 where there is none at all. The view is just large
 /// enough for what is known, and never larger than `side_m_max` about `centre_m`.
 pub(super) fn plan_view(grid: &Grid, ground: &Ground, centre_m: [f64; 2], params: &PlanParams) -> PlanView {
+    match columns(grid, ground, centre_m, params, None) {
+        Some(Columns { window, log_odds }) => {
+            tight(window, log_odds.into_iter().map(shown).collect(), grid.params().voxel_m)
+        }
+        None => empty(grid.params().voxel_m),
+    }
+}
+
+/// A view in which nothing is known.
+pub(super) fn empty(resolution_m: f64) -> PlanView {
+    PlanView { resolution_m, origin_m: [0.0; 2], width: 0, height: 0, cells: Vec::new() }
+}
+
+/// What a view shows of a column's log-odds.
+pub(super) fn shown(log_odds: i16) -> i8 {
+    match State::of(log_odds) {
+        State::Unknown => UNKNOWN,
+        State::Free => FREE,
+        State::Occupied => OCCUPIED,
+    }
+}
+
+/// The columns of the view, and those between `also` two corners. `None` where there are none.
+pub(super) fn columns(
+    grid: &Grid,
+    ground: &Ground,
+    centre_m: [f64; 2],
+    params: &PlanParams,
+    also: Option<[[i32; 2]; 2]>,
+) -> Option<Columns> {
     let voxel_m = grid.params().voxel_m;
     // A cell of the terrain may span several columns, or share one with others.
     let span = |c: i32| {
@@ -75,24 +113,27 @@ pub(super) fn plan_view(grid: &Grid, ground: &Ground, centre_m: [f64; 2], params
     let ground_bounds = bounds(ground.cells.iter().map(|(key, _)| *key));
     let ground_keys =
         ground_bounds.iter().flat_map(|[low, high]| [low.map(|c| *span(c).start()), high.map(|c| *span(c).end())]);
-    let keys = bounds(block_keys.chain(ground_keys));
-    let Some(window) = keys.and_then(|keys| window(keys, centre_m.map(|c| c / voxel_m), params.side_m_max / voxel_m))
-    else {
-        return PlanView { resolution_m: voxel_m, origin_m: [0.0; 2], width: 0, height: 0, cells: Vec::new() };
-    };
-    let mut cells = vec![UNKNOWN; window.width * window.height];
-    let mut heights = vec![f32::NAN; cells.len()];
+    let keys = bounds(block_keys.chain(ground_keys).chain(also.into_iter().flatten()));
+    let window = keys.and_then(|keys| window(keys, centre_m.map(|c| c / voxel_m), params.side_m_max / voxel_m))?;
+    let mut log_odds = vec![UNSEEN; window.width * window.height];
+    let mut heights = vec![f32::NAN; log_odds.len()];
+    let mut bare = Vec::new();
     for ([x, y], um) in &ground.cells {
         for at in span(*x).flat_map(|x| span(*y).map(move |y| [x, y])).filter_map(|key| window.index(key)) {
-            cells[at] = FREE;
             heights[at] = *um as f32 * 1e-6;
+            bare.push(at);
         }
     }
     spread(&mut heights, window.width);
     for block in blocks {
-        look_at(block, voxel_m, &window, params, &heights, &mut cells);
+        look_at(block, voxel_m, &window, params, &heights, &mut log_odds);
     }
-    tight(window, cells, voxel_m)
+    for at in bare {
+        if log_odds[at] == UNSEEN {
+            log_odds[at] = grid.miss();
+        }
+    }
+    Some(Columns { window, log_odds })
 }
 
 /// The lowest and the highest coordinates of keys.
@@ -137,13 +178,10 @@ fn spread(heights: &mut [f32], width: usize) {
 }
 
 /// Enters what a block says about its columns.
-fn look_at(block: &Block, voxel_m: f64, window: &Window, params: &PlanParams, heights: &[f32], cells: &mut [i8]) {
+fn look_at(block: &Block, voxel_m: f64, window: &Window, params: &PlanParams, heights: &[f32], log_odds: &mut [i16]) {
     let side = BLOCK as i32;
     for (x, y) in (0..BLOCK).flat_map(|x| (0..BLOCK).map(move |y| (x, y))) {
         let Some(at) = window.index([block.key[0] * side + x as i32, block.key[1] * side + y as i32]) else { continue };
-        if cells[at] == OCCUPIED {
-            continue;
-        }
         let ground = if heights[at].is_nan() { 0.0 } else { f64::from(heights[at]) };
         // Voxel k has its middle at (k + ½) voxels.
         let level = |height_m: f64| (ground + height_m) / voxel_m - 0.5 - f64::from(block.key[2] * side);
@@ -152,26 +190,31 @@ fn look_at(block: &Block, voxel_m: f64, window: &Window, params: &PlanParams, he
         if low >= high {
             continue;
         }
-        let seen = &block.column(x, y)[low..high];
-        if seen.contains(&State::Occupied) {
-            cells[at] = OCCUPIED;
-        } else if cells[at] == UNKNOWN && seen.contains(&State::Free) {
-            cells[at] = FREE;
-        }
+        let seen = block.log_odds(x, y)[low..high].iter();
+        log_odds[at] = seen.fold(log_odds[at], |most, voxel| most.max(*voxel));
     }
 }
 
-/// Cuts off the rows and columns at the edges of which nothing is known.
+/// Without the rows and columns at the edges of which nothing is known.
 fn tight(window: Window, cells: Vec<i8>, voxel_m: f64) -> PlanView {
+    match known(&window, &cells) {
+        Some(part) => cut(&window, &cells, part, voxel_m),
+        None => empty(voxel_m),
+    }
+}
+
+/// The first and last columns and rows of what is known: left, right, bottom, top.
+pub(super) fn known(window: &Window, cells: &[i8]) -> Option<[usize; 4]> {
     let known = cells.iter().enumerate().filter(|(_, cell)| **cell != UNKNOWN);
-    let bounds = known.fold(None, |bounds: Option<[usize; 4]>, (at, _)| {
+    known.fold(None, |bounds: Option<[usize; 4]>, (at, _)| {
         let (x, y) = (at % window.width, at / window.width);
         let [left, right, bottom, top] = bounds.unwrap_or([x, x, y, y]);
         Some([left.min(x), right.max(x), bottom.min(y), top.max(y)])
-    });
-    let Some([left, right, bottom, top]) = bounds else {
-        return PlanView { resolution_m: voxel_m, origin_m: [0.0; 2], width: 0, height: 0, cells: Vec::new() };
-    };
+    })
+}
+
+/// A part of the window, from column `left` to `right` and row `bottom` to `top`.
+pub(super) fn cut(window: &Window, cells: &[i8], [left, right, bottom, top]: [usize; 4], voxel_m: f64) -> PlanView {
     let rows = cells.chunks_exact(window.width).skip(bottom).take(top - bottom + 1);
     let origin = [window.low[0] as f64 + left as f64, window.low[1] as f64 + bottom as f64];
     PlanView {

@@ -296,6 +296,7 @@ mod tests {
             blocks: vec![([0, -1, 2], vec![[0.1, 0.2, 0.3]]), ([5, 5, 5], vec![])],
             tiles: vec![([0, -3], tile), ([1, 1], TerrainMesh::default())],
             plan: Some(plan),
+            layers: None,
         };
         let moved = vec![(0, nalgebra::Isometry3::translation(0.1, 0.0, 0.0)), (99, nalgebra::Isometry3::identity())];
         let step = Step {
