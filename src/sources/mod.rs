@@ -5,6 +5,7 @@ mod files;
 mod image_poses;
 pub mod images;
 pub mod marks;
+mod obstacles;
 pub mod replay;
 pub mod rig_file;
 mod scenario;
@@ -13,6 +14,7 @@ pub mod slits;
 mod truth;
 mod ultrasound;
 
+pub use obstacles::{CompareParams, Kind, TargetParams};
 pub use scenario::Scenario;
 pub use simulation::{Shot, ShotTruth, Simulation};
 pub use truth::{Found, Judge, Verdict};
