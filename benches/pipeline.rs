@@ -12,6 +12,7 @@ use metromap::optics::Rig;
 use metromap::pipeline::{Pipeline, PipelineParams};
 use metromap::points::profile;
 use metromap::scanner::Renderer;
+use metromap::sonar::{Ring, RingParams, Targets};
 use metromap::sources::{Scenario, Simulation};
 use metromap::time::Stamp;
 use metromap::world::Surfaces;
@@ -118,5 +119,37 @@ fn simulation(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, stages, simulation);
+fn ultrasound(criterion: &mut Criterion) {
+    let lab = lab();
+    let params = RingParams::default();
+    let targets = Targets::new(&lab.scenario.scene).expect("the lab has surfaces");
+    eprintln!(
+        "ring: {} transducers, order {}, {} reflecting features in the lab",
+        params.count,
+        params.order,
+        targets.feature_count()
+    );
+    let mut group = criterion.benchmark_group("ultrasound");
+    // Milliseconds of run time: 200 K a second are 200 times real time.
+    group.throughput(Throughput::Elements((params.ring_s() * 1e3).round() as u64));
+    group.bench_function("once around the ring of 24 at order 2, in ms of run time", |b| {
+        let mut ring = Ring::new(params, 1).expect("parameters are possible");
+        let (mut at, mut metres) = (Stamp(0), 0.0);
+        b.iter(|| {
+            let mut echoes = 0;
+            for _ in 0..params.count {
+                // To and fro along the lane, 0.3 m/s.
+                metres += 0.3 * params.interval_s;
+                let x = 2.0 - (metres % 8.0 - 4.0_f64).abs();
+                let pings = ring.fire(at, &Transform::planar(x, -1.0, 0.3 * x), black_box(&targets)).expect("a ping");
+                echoes += pings.iter().map(|ping| ping.echoes.len()).sum::<usize>();
+                at = ring.due(at);
+            }
+            echoes
+        });
+    });
+    group.finish();
+}
+
+criterion_group!(benches, stages, simulation, ultrasound);
 criterion_main!(benches);

@@ -2,13 +2,15 @@
 //!
 //! ```text
 //! worlds/*.toml, *.sdf ─► world ─► robot ─► scanner ─┐                          (sources::simulation)
-//! recording.mcap ────────────────────────────────────┼─► Capture ─► line ─► points ─► maps ─► Step
-//! folder of images + rig.toml ───────────────────────┘             (pipeline: one call a stage)  │
-//!                                                        sinks: rerun · mcap · export ◄──────────┘
+//!                                    └────► sonar ──┐ │
+//! recording.mcap ──────────────────────────────────┐│ ├─► Capture ─► line ─► points ─► maps ─► Step
+//! folder of images + rig.toml ─────────────────────┼┼─┘          (pipeline: one call a stage)  │
+//!                                                  └┴─► RangeReading ─► cones ─► maps ─► RangeStep
+//!                                                       sinks: rerun · mcap · export ◄─────────┘
 //! ```
 //!
 //! A [`image::Capture`] is what the instrument gives: an image (or the line in it), the middle of the exposure, two
-//! encoders and odometry. It is the same type whether simulated, recorded or real, so a recording maps to the same bits
+//! encoders and odometry; a [`ranges::RangeReading`] is a ping of one ultrasonic transducer. Each is the same type whether simulated, recorded or real, so a recording maps to the same bits
 //! as the run that made it. Truth travels beside a capture, never in it.
 //!
 //! Before the first capture stands the instrument: `design` says what a finder will see, `calibration` turns what was

@@ -14,3 +14,4 @@ mod mutations;
 mod real_images;
 mod recordings;
 mod reproduce;
+mod sonar;

@@ -56,7 +56,8 @@ fn frame(i: u64) -> Frame {
         maps: i.is_multiple_of(6).then(|| Arc::new(MapChanges { plan: Some(plan), ..MapChanges::default() })),
         log: if i == 3 { vec![("WARN", "the third".to_string())] } else { vec![] },
         dropped: Dropped::default(),
-        step: Arc::new(Step {
+        ranges: vec![],
+        step: Some(Arc::new(Step {
             id: i,
             stamp,
             cylinder_pulse,
@@ -67,12 +68,12 @@ fn frame(i: u64) -> Frame {
             seen,
             line,
             dropped,
-        }),
+        })),
     }
 }
 
 fn capture(frame: &Frame) -> Capture {
-    let step = &frame.step;
+    let step = frame.step.as_ref().unwrap();
     Capture {
         id: step.id,
         stamp: step.stamp,
@@ -98,6 +99,8 @@ fn start() -> Start {
     Start {
         name: "test".into(),
         rig: Rig::metro_i(),
+        has_finder: true,
+        transducers: vec![],
         scene: vec![],
         attachments: vec![
             ("rig.toml".into(), "application/toml".into(), b"name = \"METRO-I\"\n".to_vec()),
@@ -129,7 +132,7 @@ fn replayed(bytes: &[u8]) -> (Vec<Capture>, Dropped) {
     match Replay::new(Cursor::new(bytes), false) {
         Ok(mut replay) => {
             let captures = replay.by_ref().map(|capture| capture.unwrap()).collect();
-            (captures, replay.dropped().clone())
+            (captures, replay.dropped())
         }
         Err(_) => (vec![], Dropped::default()),
     }
@@ -183,7 +186,7 @@ fn a_recording_replays_bit_for_bit() {
         assert_eq!(bits(&read), bits(&capture(&frame(i))));
     }
     assert!(lines.next_capture().unwrap().is_none());
-    assert_eq!(*lines.dropped(), Dropped::default());
+    assert_eq!(lines.dropped(), Dropped::default());
 
     let images = Replay::open(&path, true).unwrap();
     for (i, read) in images.enumerate() {
@@ -239,7 +242,7 @@ fn other_programs_find_what_they_look_for() {
                     ("finder_base", "finder_laser"),
                 ];
                 assert_eq!(edges, expected);
-                let step = frame(message.sequence.into()).step;
+                let step = frame(message.sequence.into()).step.unwrap();
                 let world: Transform<metromap::geometry::World, Robot> =
                     (tree.transforms[0].transform.transform::<(), ()>().iso
                         * tree.transforms[1].transform.transform::<(), ()>().iso)
@@ -248,7 +251,7 @@ fn other_programs_find_what_they_look_for() {
             }
             topics::POINTS => {
                 let cloud: PointCloud2 = cdr::decode(&message.data).unwrap();
-                let step = frame(message.sequence.into()).step;
+                let step = frame(message.sequence.into()).step.unwrap();
                 assert_eq!((cloud.width as usize, cloud.header.frame_id.as_str()), (step.placed.points.len(), "map"));
                 let x = f32::from_le_bytes(cloud.data.0[..4].try_into().unwrap());
                 assert_eq!(x, step.placed.points[0].point.xyz.x as f32);

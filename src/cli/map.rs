@@ -9,11 +9,11 @@ use super::output::{Output, start};
 use super::session::{Session, stop_requested};
 use super::summary::Summary;
 use crate::fault::{Fault, Result};
-use crate::image::{Capture, Dropped};
+use crate::image::Dropped;
 use crate::optics::Rig;
 use crate::pipeline::{Pipeline, PipelineParams};
 use crate::sources::images::ImageFolder;
-use crate::sources::replay::Replay;
+use crate::sources::replay::{Input as Next, Replay};
 use crate::sources::rig_file;
 
 /// Map a recording, or a folder of images with a rig.toml.
@@ -51,12 +51,14 @@ struct Input {
     params: PipelineParams,
     total: Option<u64>,
     captures: Box<dyn Captures>,
+    /// Whether a finder took captures; a recording of another robot may hold ultrasonic ranges alone.
+    has_finder: bool,
     is_recording: bool,
 }
 
 /// A stream of captures that counts what it could not read.
 trait Captures {
-    fn next(&mut self) -> Result<Option<Capture>>;
+    fn next(&mut self) -> Result<Option<Next>>;
     fn dropped(&self) -> Dropped;
     /// What people should know of that.
     fn complaints(&self) -> Vec<String>;
@@ -75,6 +77,7 @@ pub fn run(options: Options) -> Result<Exit> {
     let mut opened = options.output.open(&format!("{}-map", input.name), !input.is_recording)?;
     opened.announce();
     let mut begin = start(&input.name, &input.rig);
+    begin.has_finder = input.has_finder;
     begin.attachments = vec![
         ("rig.toml".into(), "application/toml".into(), rig_file::to_toml(&input.rig).into_bytes()),
         ("pipeline.toml".into(), "application/toml".into(), input.params.to_toml()?.into_bytes()),
@@ -87,18 +90,28 @@ pub fn run(options: Options) -> Result<Exit> {
     for complaint in input.captures.complaints() {
         eprintln!("metromap: {complaint}");
     }
-    if session.captures == 0 && !stop_requested() {
+    if session.captures == 0 && session.pipeline.maps().ultrasonic().readings() == 0 && !stop_requested() {
         let found = format!("none that could be read; dropped: {:?}", session.dropped.0);
         return Err(Fault::new("captures", found, "at least one").in_file(&options.input));
     }
-    let files = opened.export(session.pipeline.maps())?;
+    let mut files = opened.export(session.pipeline.maps())?;
+    if let Some(layers) = session.pipeline.maps().layers() {
+        files.push(opened.picture(&layers, None)?);
+    }
     let summary = Summary::of(&session, None, None, files);
     opened.close(&summary, options.output.json, &failed, &session)
 }
 
 fn map_all(session: &mut Session, captures: &mut dyn Captures) -> Result<()> {
     while !stop_requested() {
-        let Some(capture) = captures.next()? else { break };
+        let Some(next) = captures.next()? else { break };
+        let capture = match next {
+            Next::Capture(capture) => capture,
+            Next::Range(reading) => {
+                session.hear(&reading, None);
+                continue;
+            }
+        };
         if let Some(step) = session.step(&capture) {
             session.show(&step, &capture.reading, None);
         }
@@ -123,6 +136,7 @@ fn open_recording(options: &Options) -> Result<Input> {
     let rig = match (&options.rig, attached("rig.toml")?) {
         (Some(path), _) => rig_file::load(path)?.rig,
         (None, Some(text)) => rig_file::parse(&text, &options.input)?.rig,
+        (None, None) if !replay.has_captures() => Rig::metro_i(), // stands there, and sees nothing
         (None, None) => {
             let expected = "the attachment rig.toml, or --rig FILE";
             return Err(Fault::new("finder", "none in the recording", expected).in_file(&options.input));
@@ -139,7 +153,8 @@ fn open_recording(options: &Options) -> Result<Input> {
         other => Some(other.to_string()),
     };
     let name = name.unwrap_or_else(|| "recording".into());
-    Ok(Input { name, rig, params, total: replay.captures_expected(), captures: Box::new(replay), is_recording: true })
+    let (has_finder, total) = (replay.has_captures(), replay.captures_expected().filter(|total| *total > 0));
+    Ok(Input { name, rig, params, total, captures: Box::new(replay), has_finder, is_recording: true })
 }
 
 fn open_folder(options: &Options) -> Result<Input> {
@@ -154,28 +169,29 @@ fn open_folder(options: &Options) -> Result<Input> {
         params,
         total: Some(folder.len() as u64),
         captures: Box::new(folder),
+        has_finder: true,
         is_recording: false,
     })
 }
 
 impl Captures for Replay {
-    fn next(&mut self) -> Result<Option<Capture>> {
-        self.next_capture()
+    fn next(&mut self) -> Result<Option<Next>> {
+        self.next_input()
     }
     fn dropped(&self) -> Dropped {
-        self.dropped().clone()
+        self.dropped()
     }
     fn complaints(&self) -> Vec<String> {
-        match self.without_image() {
-            0 => Vec::new(),
-            count => vec![format!("{count} captures were recorded without their image, and are not mapped")],
-        }
+        let told = |count: u64, what: &str| (count > 0).then(|| format!("{count} {what}"));
+        let images = told(self.without_image(), "captures were recorded without their image, and are not mapped");
+        let infrared = told(self.other_ranges(), "ranges are infrared, not ultrasonic, and are not mapped");
+        images.into_iter().chain(infrared).collect()
     }
 }
 
 impl Captures for ImageFolder {
-    fn next(&mut self) -> Result<Option<Capture>> {
-        self.next_capture()
+    fn next(&mut self) -> Result<Option<Next>> {
+        Ok(self.next_capture()?.map(|capture| Next::Capture(Box::new(capture))))
     }
     fn dropped(&self) -> Dropped {
         self.dropped().clone()

@@ -9,7 +9,7 @@ use super::Exit;
 use super::session::{Session, stop_requested};
 use super::summary::Summary;
 use crate::fault::{Fault, Result};
-use crate::maps::Maps;
+use crate::maps::{Layers, Maps, PlanView};
 use crate::sinks::export;
 use crate::sinks::mcap::{Images, McapSink};
 use crate::sinks::rerun::{RerunSink, Target};
@@ -148,6 +148,12 @@ impl Opened {
         std::mem::take(&mut self.sinks)
     }
 
+    /// Draws laser, ultrasonic and fused layer side by side; returns the file.
+    pub fn picture(&self, layers: &Layers, truth: Option<&PlanView>) -> Result<String> {
+        let name = export::layers_png(&self.dir, layers, truth)?;
+        Ok(self.dir.join(name).display().to_string())
+    }
+
     /// Writes the maps; returns all files of the directory.
     pub fn export(&self, maps: &Maps) -> Result<Vec<String>> {
         let mut files: Vec<String> = self.files.iter().map(|f| f.display().to_string()).collect();
@@ -162,6 +168,8 @@ pub fn start(session_name: &str, rig: &crate::optics::Rig) -> Start {
     Start {
         name: session_name.to_string(),
         rig: rig.clone(),
+        has_finder: true,
+        transducers: Vec::new(),
         scene: Vec::new(),
         attachments: Vec::new(),
         metadata: vec![("metromap_version".into(), env!("CARGO_PKG_VERSION").into())],

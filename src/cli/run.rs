@@ -12,7 +12,8 @@ use crate::fault::{Fault, Result};
 use crate::pipeline::Pipeline;
 use crate::robot::OdometryParams;
 use crate::sinks::Truth;
-use crate::sources::{Judge, Scenario, Shot, Simulation, rig_file};
+use crate::sonar::RingParams;
+use crate::sources::{Heard, Judge, PlanTruth, Scenario, Shot, Simulation, rig_file};
 
 /// Simulate a robot with a finder in a world, and map it.
 #[derive(Args, Clone, Debug, Default)]
@@ -39,6 +40,9 @@ pub struct Options {
     /// over a flat floor it should notice. May be repeated
     #[arg(long = "bump", value_name = "NAME=BY", allow_hyphen_values = true, value_parser = shift)]
     pub bumps: Vec<(String, f64)>,
+    /// Put METRO-I's ultrasonic ring on the robot (24 transducers), where the scenario has none
+    #[arg(long)]
+    pub sonar: bool,
     /// Where else `model://` is looked up
     #[arg(long, value_name = "DIR")]
     pub model_path: Vec<PathBuf>,
@@ -63,7 +67,8 @@ JSON keys: captures, profiles, points, dropped {reason: count}, sim_s, wall_s, r
 collisions, mission {steps, ended, given_up}, occupancy {resolution_m, occupied, free, bytes}, terrain {vertices, triangles, max_error_m, area_m2}, \
 truth {point_rms_m, point_rms_m_within_3m, point_outliers, occupancy_precision, occupancy_recall (also _low, _high: below \
 and above 0.1 m), terrain_rmse_m, terrain_coverage, pose_rms_m, pose_rms_rad, objects {name: {seen, found, is_found}}}, \
-absent [what the world asks for and is not simulated], \
+truth.map {laser, ultrasonic, fused: {precision, recall, iou, free_space_error, free_found, free_blocked}} and \
+ranges {readings, no_echo, transducers} (with an ultrasonic ring or recorded ranges), absent [what the world asks for and is not simulated], \
 drift {state: unseen | fits | moved | several, captures, readings, floor_share, misfit_m, misfit_after_m, \
 moved [{parameter, by, sigma, unit, explains}], first_alarm_capture} (where the floor is known to be flat: whether the \
 calibration fits it, and what moved), digest (SHA-256 of the maps), files, interrupted.";
@@ -81,6 +86,7 @@ pub fn run(options: Options) -> Result<Exit> {
     opened.announce();
     let mut begin = start(&scenario.name, &scenario.rig);
     begin.scene = simulation.pictures();
+    begin.transducers = simulation.transducers();
     begin.metadata.push(("seed".into(), scenario.seed.to_string()));
     begin.metadata.push(("overrides".into(), overrides(&options)));
     begin.attachments = vec![
@@ -96,8 +102,14 @@ pub fn run(options: Options) -> Result<Exit> {
     let failed = session.finish();
     result?;
 
-    let truth = judge.verdict(session.pipeline.maps(), simulation.surfaces());
-    let files = opened.export(session.pipeline.maps())?;
+    let mut truth = judge.verdict(session.pipeline.maps(), simulation.surfaces());
+    let mut files = opened.export(session.pipeline.maps())?;
+    if let Some(layers) = session.pipeline.maps().layers() {
+        let (scene, plan) = (&scenario.scene, &scenario.pipeline.maps.plan);
+        let plan = PlanTruth::new(&layers.fused, scene, simulation.surfaces(), plan, judge.way_m())?;
+        truth.map = Some(plan.judge(&layers));
+        files.push(opened.picture(&layers, Some(&plan.view))?);
+    }
     if session.captures == 0 && !stop_requested() {
         let found = format!("none in {} s", scenario.duration_s);
         return Err(Fault::new("captures", found, "time for at least one exposure").in_file(&path));
@@ -110,16 +122,18 @@ pub fn run(options: Options) -> Result<Exit> {
 
 /// What the command line changed in the scenario that rides along.
 fn overrides(options: &Options) -> String {
-    let Options { odometry, start, goals, duration_s, bumps, .. } = options;
-    format!("odometry {odometry:?}, start {start:?}, goto {goals:?}, duration_s {duration_s:?}, bump {bumps:?}")
+    let Options { odometry, start, goals, duration_s, bumps, sonar, .. } = options;
+    let ring = if *sonar { ", sonar" } else { "" };
+    format!("odometry {odometry:?}, start {start:?}, goto {goals:?}, duration_s {duration_s:?}, bump {bumps:?}{ring}")
 }
 
 /// The loop: simulate, map, judge, show.
 fn drive(session: &mut Session, simulation: &mut Simulation, judge: &mut Judge) -> Result<()> {
     while !stop_requested() {
         simulation.look_at(session.pipeline.maps(), session.pipeline.world_from_odom());
-        let Some(Shot { capture, truth, heard: _, notes }) = simulation.next_shot()? else { break };
+        let Some(Shot { capture, truth, heard, notes }) = simulation.next_shot()? else { break };
         log_notes(session, notes);
+        hear(session, heard);
         session.progress(simulation.thousandths(), simulation.doing());
         if let Some(step) = session.step(&capture) {
             let point_rms_m = judge.step(&step, &truth.world_from_robot, &truth.sights);
@@ -127,9 +141,17 @@ fn drive(session: &mut Session, simulation: &mut Simulation, judge: &mut Judge) 
             session.show(&step, &capture.reading, Some(beside));
         }
     }
+    hear(session, simulation.take_heard());
     log_notes(session, simulation.take_notes());
     session.dropped.merge(simulation.dropped());
     Ok(())
+}
+
+/// What the ring heard, in its order.
+fn hear(session: &mut Session, heard: Vec<Heard>) {
+    for Heard { reading, truth } in heard {
+        session.hear(&reading, Some(truth.ping));
+    }
 }
 
 /// What the mission said; what it could not do is a warning.
@@ -161,6 +183,9 @@ fn apply(options: &Options, scenario: &mut Scenario) -> Result<()> {
     }
     if let Some(duration_s) = options.duration_s {
         scenario.duration_s = duration_s;
+    }
+    if options.sonar {
+        scenario.sonar.get_or_insert_with(RingParams::default);
     }
     scenario.bump(&options.bumps.iter().cloned().collect())
 }

@@ -11,15 +11,19 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::calibration::finder::drift::DriftState;
 use crate::fault::{Fault, Result};
-use crate::image::{Capture, Dropped, Reading};
+use crate::image::{Capture, Dropped, Image, Reading};
 use crate::maps::MapChanges;
 use crate::navigation::Travel;
 use crate::pipeline::{Pipeline, Step};
-use crate::sinks::{Frame, Sink, Start, Truth};
+use crate::ranges::RangeReading;
+use crate::sinks::{Frame, Ranged, Sink, Start, Truth};
+use crate::sonar::Ping;
 use crate::time::Stamp;
 
 /// Frames that may wait for the sinks before the pipeline waits for them.
 const FRAMES_WAITING_MAX: usize = 64;
+/// Ranges that may wait for a capture before they are shown without one.
+const RANGES_WAITING_MAX: usize = 64;
 /// Maps go to the sinks this often [s of run time].
 const MAPS_EVERY_S: f64 = 1.0;
 
@@ -60,6 +64,8 @@ pub struct Session {
     /// What the floor last said of the calibration, in the state that was told.
     told: DriftState,
     log: Vec<(&'static str, String)>,
+    /// Ranges that wait for the next frame.
+    ranges: Vec<Ranged>,
     /// The newest frame, held back until the next one comes or the session ends: the last one carries the final maps.
     pending: Option<Frame>,
     sinks: SinkThread,
@@ -84,6 +90,7 @@ impl Session {
             first_alarm: None,
             told: DriftState::Unseen,
             log: Vec::new(),
+            ranges: Vec::new(),
             pending: None,
             sinks: SinkThread::begin(sinks, start)?,
             bar: progress_bar(total),
@@ -118,6 +125,33 @@ impl Session {
         }
     }
 
+    /// One ultrasonic range through the pipeline; one that cannot be used is counted and logged.
+    pub fn hear(&mut self, reading: &RangeReading, ping: Option<Ping>) {
+        match self.pipeline.hear(reading) {
+            Ok(step) => {
+                self.dropped.merge(&step.dropped);
+                self.first_stamp.get_or_insert(reading.stamp);
+                self.last_stamp = self.last_stamp.max(Some(reading.stamp));
+                self.ranges.push(Ranged { step, ping });
+            }
+            Err((why, fault)) => {
+                self.dropped.add(why);
+                self.log.push(("WARN", fault.to_string()));
+            }
+        }
+        // Captures come more often than this, where there are any.
+        if self.ranges.len() >= RANGES_WAITING_MAX {
+            self.show_ranges();
+        }
+    }
+
+    /// Hands ranges to the sinks that no capture came after.
+    fn show_ranges(&mut self) {
+        let Some(last) = self.ranges.last() else { return };
+        let at = last.step.reading.stamp;
+        self.send(at, None, None, None);
+    }
+
     /// Tells when the floor says something else of the calibration than before.
     fn tell_drift(&mut self, capture: u64) {
         let Some(drift) = self.pipeline.drift().filter(|drift| drift.state != self.told) else { return };
@@ -138,17 +172,23 @@ impl Session {
 
     /// Hands a step to the sinks, with the maps about once a second.
     pub fn show(&mut self, step: &Arc<Step>, reading: &Reading, truth: Option<Truth>) {
-        let due = self.last_maps.is_none_or(|last| (step.stamp - last).as_secs() >= MAPS_EVERY_S);
-        let maps = due.then(|| {
-            self.last_maps = Some(step.stamp);
-            Arc::new(self.pipeline.maps_mut().changes())
-        });
         let image = match reading {
             Reading::Image(image) => Some(Arc::new(image.clone())),
             Reading::Line(_) => None,
         };
+        self.send(step.stamp, Some(step.clone()), image, truth);
+    }
+
+    /// Makes a frame of all that waits, and hands on the one before it.
+    fn send(&mut self, at: Stamp, step: Option<Arc<Step>>, image: Option<Arc<Image>>, truth: Option<Truth>) {
+        let due = self.last_maps.is_none_or(|last| (at - last).as_secs() >= MAPS_EVERY_S);
+        let maps = due.then(|| {
+            self.last_maps = Some(at);
+            Arc::new(self.pipeline.maps_mut().changes())
+        });
         let frame = Frame {
-            step: step.clone(),
+            ranges: std::mem::take(&mut self.ranges),
+            step,
             image,
             truth,
             maps,
@@ -173,6 +213,7 @@ impl Session {
 
     /// Closes the sinks; what failed in them comes back.
     pub fn finish(&mut self) -> Vec<Fault> {
+        self.show_ranges();
         if let Some(mut frame) = self.pending.take() {
             let mut changes = self.pipeline.maps_mut().changes();
             if let Some(earlier) = frame.maps.take() {

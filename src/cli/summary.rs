@@ -9,7 +9,7 @@ use super::session::Session;
 use crate::calibration::finder::drift::{Drift, DriftState};
 use crate::fault::{Fault, Result};
 use crate::image::Dropped;
-use crate::maps::{OccupancySummary, TerrainSummary};
+use crate::maps::{Maps, OccupancySummary, TerrainSummary};
 use crate::navigation::MissionProgress;
 use crate::sources::Verdict;
 
@@ -48,6 +48,9 @@ pub struct Summary {
     /// Against the truth; only for a simulation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<Verdict>,
+    /// Ultrasonic ranges; only where there were some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ranges: Option<Ranges>,
     /// What the floor says of the calibration; only where it is known to be flat.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift: Option<Watched>,
@@ -60,6 +63,25 @@ pub struct Summary {
     pub files: Vec<String>,
     /// Whether the user stopped it early.
     pub interrupted: bool,
+}
+
+/// Ultrasonic ranges in numbers.
+#[derive(Clone, Debug, Serialize)]
+pub struct Ranges {
+    /// Readings taken.
+    pub readings: u64,
+    /// Of these, without an echo.
+    pub no_echo: u64,
+    /// Transducers.
+    pub transducers: usize,
+}
+
+impl Ranges {
+    fn of(maps: &Maps) -> Option<Self> {
+        let layer = maps.ultrasonic();
+        let [readings, no_echo] = [layer.readings(), layer.silent()];
+        (readings > 0).then(|| Self { readings, no_echo, transducers: layer.transducers() })
+    }
 }
 
 /// What the floor last said of the calibration, and when it first did not fit.
@@ -105,6 +127,7 @@ impl Summary {
             occupancy: maps.occupancy,
             terrain: Terrain { mesh: maps.terrain, area_m2: ground.cells.len() as f64 * ground.cell_m * ground.cell_m },
             truth,
+            ranges: Ranges::of(session.pipeline.maps()),
             drift: session
                 .pipeline
                 .drift()
@@ -159,8 +182,14 @@ impl Summary {
             };
             line(format!("mission: {} of {} steps ended{blocked}{cut}", mission.ended, mission.steps));
         }
+        if let Some(Ranges { readings, no_echo, transducers }) = self.ranges {
+            line(format!(
+                "{readings} ultrasonic ranges of {transducers} transducers, {no_echo} of them without an echo"
+            ));
+        }
         if let Some(truth) = &self.truth {
             line(truth.text());
+            truth.map_text().into_iter().for_each(&mut line);
         }
         if let Some(watched) = self.drift.as_ref().filter(|watched| watched.drift.state != DriftState::Unseen) {
             line(watched.drift.to_string());

@@ -4,19 +4,22 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use super::messages::{
     Bytes, CameraInfo, CompressedImage, Header, JointState, LaserScan, Log, MapMetaData, OccupancyGrid, Odometry,
-    PointCloud2, PointField, Pose, PoseStamped, PoseWithCovariance, RegionOfInterest, TfMessage, Time,
+    PointCloud2, PointField, Pose, PoseStamped, PoseWithCovariance, Range, RegionOfInterest, TfMessage, Time,
     TransformStamped, Twist, TwistWithCovariance, Vector3,
 };
 use crate::fault::{Fault, Result};
-use crate::geometry::{Camera as CameraFrame, Frame, Odom, Robot, Sensor, Transform, World};
+use crate::geometry::{Camera as CameraFrame, Frame, Odom, Robot, Sensor, Transducer, Transform, World};
 use crate::maps::PlanView;
 use crate::optics::{Distortion, Laser, LaserPlane, Rig};
-use crate::pipeline::Step;
+use crate::pipeline::{RangeStep, Step};
 use crate::points::Profile;
+use crate::ranges::RangeReading;
 use crate::time::Stamp;
 
 /// The frame of the light: origin where the fan opens, x along its middle, y to the left in the plane.
 pub const LASER_FRAME: &str = "finder_laser";
+/// What a range was measured with.
+pub const ULTRASOUND: u8 = 0;
 /// The joint that turns the cylinder.
 pub const CYLINDER_JOINT: &str = "cylinder";
 /// The joint that tilts the mirror.
@@ -51,9 +54,32 @@ pub fn pose_tree(rig: &Rig, step: &Step) -> Result<TfMessage> {
     })
 }
 
-/// The part of the pose tree that never moves: finder_base → finder_camera.
-pub fn fixed_poses(rig: &Rig, at: Stamp) -> Result<TfMessage> {
-    Ok(TfMessage { transforms: vec![edge(at, Sensor::NAME, CameraFrame::NAME, &rig.sensor_from_camera)?] })
+/// The part of the pose tree that never moves: finder_base → finder_camera, and base_link → every transducer.
+pub fn fixed_poses(rig: &Rig, transducers: &[(String, Transform<Robot, Transducer>)], at: Stamp) -> Result<TfMessage> {
+    let camera = edge(at, Sensor::NAME, CameraFrame::NAME, &rig.sensor_from_camera);
+    let others = transducers.iter().map(|(frame, pose)| edge(at, Robot::NAME, frame, pose));
+    Ok(TfMessage { transforms: std::iter::once(camera).chain(others).collect::<Result<_>>()? })
+}
+
+/// Where the robot was when a range was measured: map → odom → base_link.
+pub fn ranged_pose(step: &RangeStep) -> Result<TfMessage> {
+    let (at, odom_from_robot) = (step.reading.stamp, step.reading.odom_from_robot);
+    let world_from_odom: Transform<World, Odom> = step.world_from_robot * odom_from_robot.inverse();
+    let (map, odom, robot) = (World::NAME, Odom::NAME, Robot::NAME);
+    Ok(TfMessage { transforms: vec![edge(at, map, odom, &world_from_odom)?, edge(at, odom, robot, &odom_from_robot)?] })
+}
+
+/// An ultrasonic range as ROS has it; no echo is +Inf (REP-117).
+pub fn range(reading: &RangeReading) -> Result<Range> {
+    Ok(Range {
+        header: Header::new(reading.stamp, &reading.frame)?,
+        radiation_type: ULTRASOUND,
+        field_of_view: reading.field_of_view_rad,
+        min_range: reading.range_m_min,
+        max_range: reading.range_m_max,
+        range: reading.range_m.unwrap_or(f32::INFINITY),
+        variance: 0.0,
+    })
 }
 
 /// The odometry at a step, with the mean velocity since the one before; zero if there is none or no time has passed.
@@ -396,7 +422,7 @@ mod tests {
         let robot = Transform::<World, Odom>::from(tree.transforms[0].transform.transform::<World, Odom>().iso)
             * tree.transforms[1].transform.transform::<Odom, Robot>();
         assert!((robot.iso.to_homogeneous() - step.world_from_robot.iso.to_homogeneous()).norm() < 1e-12);
-        let fixed = fixed_poses(&rig, step.stamp).unwrap();
+        let fixed = fixed_poses(&rig, &[], step.stamp).unwrap();
         for (edge, name, angle) in [
             (&tree.transforms[2], CYLINDER_JOINT, angles[0]),
             (&fixed.transforms[0], "camera", 0.0),

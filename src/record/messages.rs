@@ -215,6 +215,23 @@ messages! {
         /// Level of the peak over the background; 0 where nothing was seen.
         intensities: Vec<f32>,
     }
+    /// One range of one transducer.
+    Range as "sensor_msgs/msg/Range" {
+        /// When it was fired, and the frame of the transducer: x along its axis.
+        header: Header,
+        /// 0 ultrasound, 1 infrared.
+        radiation_type: u8,
+        /// The arc in which what echoed may be [rad].
+        field_of_view: f32,
+        /// Nothing nearer is reported [m].
+        min_range: f32,
+        /// Nothing farther is reported [m].
+        max_range: f32,
+        /// The range [m]; +Inf where there was no echo (REP-117), which does not mean that nothing is there.
+        range: f32,
+        /// 0: not known [m²].
+        variance: f32,
+    }
     /// A part of an image.
     RegionOfInterest as "sensor_msgs/msg/RegionOfInterest" {
         /// [px].

@@ -39,10 +39,19 @@ pub mod topics {
     pub const CAPTURE: &str = "/finder/capture";
     /// The plan view: nav_msgs/msg/OccupancyGrid.
     pub const MAP: &str = "/map";
+    /// The ultrasonic layer: nav_msgs/msg/OccupancyGrid.
+    pub const MAP_ULTRASONIC: &str = "/map_ultrasonic";
+    /// Laser and ultrasonic together: nav_msgs/msg/OccupancyGrid.
+    pub const MAP_FUSED: &str = "/map_fused";
     /// The robot as URDF: std_msgs/msg/String.
     pub const ROBOT: &str = "/robot_description";
     /// The log: rcl_interfaces/msg/Log.
     pub const LOG: &str = "/rosout";
+
+    /// The ranges of one ultrasonic transducer: sensor_msgs/msg/Range, a topic each, as RViz and Nav2 want it.
+    pub fn range(frame: &str) -> String {
+        format!("/{frame}/range")
+    }
 }
 
 /// Name of the metadata record that holds `sinks::Start::metadata`.

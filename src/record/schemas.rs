@@ -79,6 +79,12 @@ const TYPES: &[(&str, &str)] = &[
         "std_msgs/Header header\nfloat32 angle_min\nfloat32 angle_max\nfloat32 angle_increment\nfloat32 time_increment\n\
          float32 scan_time\nfloat32 range_min\nfloat32 range_max\nfloat32[] ranges\nfloat32[] intensities\n",
     ),
+    // As from 2023 on; before, without the variance.
+    (
+        "sensor_msgs/Range",
+        "uint8 ULTRASOUND=0\nuint8 INFRARED=1\nstd_msgs/Header header\nuint8 radiation_type\nfloat32 field_of_view\n\
+         float32 min_range\nfloat32 max_range\nfloat32 range\nfloat32 variance\n",
+    ),
     (
         "sensor_msgs/RegionOfInterest",
         "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",

@@ -1,12 +1,13 @@
-//! Maps as files for other programs: Nav2 map (PGM + YAML), OctoMap (`.bt`), terrain as mesh (PLY) and as ASCII grid.
+//! Maps as files for other programs: Nav2 maps (PGM + YAML), OctoMap (`.bt`), terrain as mesh (PLY) and as ASCII grid.
 //! Every file appears complete or not at all: it is written beside its place and then renamed.
 
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
+use super::layers_png;
 use crate::fault::{Fault, Result};
-use crate::maps::{BLOCK, Block, Grid, Maps, PlanView, State, Surface, TerrainMesh};
+use crate::maps::{BLOCK, Block, Grid, Layers, Maps, PlanView, State, Surface, TerrainMesh};
 
 /// Cells of the ASCII grid at most.
 const ASCII_CELLS_MAX: u64 = 1 << 26;
@@ -17,12 +18,25 @@ const KEY_ZERO: i64 = 1 << (DEPTH - 1);
 
 /// Writes all maps into a directory, which is made if it is not there. Returns the names of the files.
 ///
+/// With ultrasonic ranges, `sonar.pgm` and `fused.pgm` stand beside `map.pgm`, all three on the same cells.
+///
 /// An empty map is no error: its plan view has no cells, so `map.pgm` and `map.yaml` are left out.
 ///
 /// Errors: a file that cannot be written; an occupancy grid wider than OctoMap's 65 536 voxels.
 pub fn export(dir: &Path, maps: &Maps) -> Result<Vec<String>> {
-    let plan = maps.plan_view();
-    let mut files = if plan.cells.is_empty() { Vec::new() } else { nav2_map(dir, &plan)? };
+    let mut files = Vec::new();
+    match maps.layers() {
+        // On the same cells, so that one can be laid over the other.
+        Some(Layers { laser, ultrasonic, fused }) => {
+            for (name, view) in [("map", laser), ("sonar", ultrasonic), ("fused", fused)] {
+                files.extend(nav2_named(dir, name, &view)?);
+            }
+        }
+        None => {
+            let plan = maps.plan_view();
+            files.extend(if plan.cells.is_empty() { Vec::new() } else { nav2_map(dir, &plan)? });
+        }
+    }
     files.push(terrain_ply(dir, &maps.surface().mesh())?);
     files.extend(terrain_asc(dir, maps.surface(), maps.terrain().params().cell_m)?);
     files.push(occupancy_bt(dir, maps.grid())?);
@@ -34,6 +48,11 @@ pub fn export(dir: &Path, maps: &Maps) -> Result<Vec<String>> {
 ///
 /// Errors: a view without cells, or whose cells are not width × height; a file that cannot be written.
 pub fn nav2_map(dir: &Path, plan: &PlanView) -> Result<Vec<String>> {
+    nav2_named(dir, "map", plan)
+}
+
+/// The same as `NAME.pgm` and `NAME.yaml`.
+fn nav2_named(dir: &Path, name: &str, plan: &PlanView) -> Result<Vec<String>> {
     if plan.cells.is_empty() || plan.width.checked_mul(plan.height) != Some(plan.cells.len()) {
         let found = format!("{} cells for {} x {}", plan.cells.len(), plan.width, plan.height);
         return Err(Fault::new("plan view", found, "width x height cells, at least one"));
@@ -47,10 +66,18 @@ pub fn nav2_map(dir: &Path, plan: &PlanView) -> Result<Vec<String>> {
     plan.cells.rchunks(plan.width).for_each(|row| image.extend(row.iter().map(shade)));
     // 205 is a share of (255 − 205)/255 = 0.19608: above 0.196 it stays unknown, with Nav2's own 0.25 it would be free.
     let yaml = format!(
-        "image: map.pgm\nmode: trinary\nresolution: {}\norigin: [{}, {}, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+        "image: {name}.pgm\nmode: trinary\nresolution: {}\norigin: [{}, {}, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
         plan.resolution_m, plan.origin_m[0], plan.origin_m[1]
     );
-    Ok(vec![write(dir, "map.pgm", &image)?, write(dir, "map.yaml", yaml.as_bytes())?])
+    Ok(vec![write(dir, &format!("{name}.pgm"), &image)?, write(dir, &format!("{name}.yaml"), yaml.as_bytes())?])
+}
+
+/// Writes `layers.png`: laser, ultrasonic and fused layer side by side, beside the truth (100 a surface, 0 free, −1 not to be
+/// judged) where it is known.
+///
+/// Errors: a truth of another size; a file that cannot be written.
+pub fn layers_png(dir: &Path, layers: &Layers, truth: Option<&PlanView>) -> Result<String> {
+    write(dir, "layers.png", &layers_png::png(layers, truth)?)
 }
 
 /// Writes `terrain.ply`: a binary little-endian triangle mesh [m].

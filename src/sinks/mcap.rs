@@ -7,14 +7,15 @@ use std::path::{Path, PathBuf};
 
 use super::{Frame, Sink, Start};
 use crate::fault::{Fault, Result};
-use crate::geometry::{Odom, Robot, Transform};
+use crate::geometry::{Odom, Robot, Transducer, Transform};
 use crate::image::{Capture, Reading};
+use crate::maps::MapChanges;
 use crate::optics::Rig;
-use crate::pipeline::Step;
+use crate::pipeline::{RangeStep, Step};
 use crate::record::bag::{Attachment, Metadata, Topic, Writer};
 use crate::record::messages::{
     CameraInfo, CaptureMessage, CompressedImage, JointState, LaserScan, Log, Message, OccupancyGrid, Odometry,
-    PointCloud2, PoseStamped, Text, TfMessage,
+    PointCloud2, PoseStamped, Range, Text, TfMessage,
 };
 use crate::record::{METADATA_RECORDING, METADATA_START, build, cdr, png, topics};
 use crate::time::{Span, Stamp};
@@ -98,6 +99,9 @@ struct Topics {
     image: Topic,
     capture: Topic,
     map: Topic,
+    ranges: BTreeMap<String, Topic>,
+    /// The ultrasonic layer and the fused one; only where there are transducers.
+    layers: Option<[Topic; 2]>,
     robot: Topic,
     log: Topic,
 }
@@ -107,8 +111,20 @@ impl Topics {
         writer.topic(topic, M::TYPE, latched)
     }
 
-    fn new(writer: &mut Writer<BufWriter<File>>) -> Result<Self> {
+    fn new(writer: &mut Writer<BufWriter<File>>, start: &Start) -> Result<Self> {
+        let mut ranges = BTreeMap::new();
+        for (frame, _) in &start.transducers {
+            ranges.insert(frame.clone(), Self::of::<Range>(writer, &topics::range(frame), false)?);
+        }
+        let layers = if ranges.is_empty() {
+            None
+        } else {
+            let ultrasonic = Self::of::<OccupancyGrid>(writer, topics::MAP_ULTRASONIC, true)?;
+            Some([ultrasonic, Self::of::<OccupancyGrid>(writer, topics::MAP_FUSED, true)?])
+        };
         Ok(Self {
+            ranges,
+            layers,
             tf: Self::of::<TfMessage>(writer, topics::TF, false)?,
             tf_static: Self::of::<TfMessage>(writer, topics::TF_STATIC, true)?,
             odom: Self::of::<Odometry>(writer, topics::ODOM, false)?,
@@ -131,6 +147,7 @@ struct Recording {
     writer: Writer<BufWriter<File>>,
     topics: Topics,
     rig: Rig,
+    transducers: Vec<(String, Transform<Robot, Transducer>)>,
     images: Images,
     /// From when on the next image is a keyframe.
     keyframe_from: Option<Stamp>,
@@ -155,11 +172,19 @@ impl Recording {
         writer.metadata(&Metadata { name: METADATA_START.into(), entries })?;
         let entries = [("name".to_string(), start.name.clone())].into();
         writer.metadata(&Metadata { name: METADATA_RECORDING.into(), entries })?;
-        let topics = Topics::new(&mut writer)?;
+        let topics = Topics::new(&mut writer, start)?;
         // Schemas and topics get a chunk of their own: damage to the first messages does not take them along.
         writer.flush()?;
-        let rig = start.rig.clone();
-        Ok(Self { writer, topics, rig, images, keyframe_from: None, odom_before: None, introduced: false })
+        Ok(Self {
+            writer,
+            topics,
+            rig: start.rig.clone(),
+            transducers: start.transducers.clone(),
+            images,
+            keyframe_from: None,
+            odom_before: None,
+            introduced: false,
+        })
     }
 
     fn put<M: Message>(&mut self, topic: impl Fn(&Topics) -> Topic, at: Stamp, message: &M) -> Result<()> {
@@ -168,7 +193,7 @@ impl Recording {
     }
 
     fn introduce(&mut self, at: Stamp) -> Result<()> {
-        let fixed = build::fixed_poses(&self.rig, at)?;
+        let fixed = build::fixed_poses(&self.rig, &self.transducers, at)?;
         self.put(|topics| topics.tf_static, at, &fixed)?;
         let robot = Text { data: build::robot_description(&self.rig) };
         self.put(|topics| topics.robot, at, &robot)?;
@@ -179,11 +204,51 @@ impl Recording {
     }
 
     fn step(&mut self, frame: &Frame) -> Result<()> {
-        let step = &*frame.step;
-        let at = step.stamp;
         if !self.introduced {
-            self.introduce(at)?;
+            let first = frame.ranges.first().map(|range| range.step.reading.stamp);
+            self.introduce(first.unwrap_or(frame.stamp()))?;
         }
+        for range in &frame.ranges {
+            self.range(&range.step)?;
+        }
+        if let Some(step) = &frame.step {
+            self.seen(frame, step)?;
+        }
+        let at = frame.stamp();
+        if let Some(maps) = &frame.maps {
+            self.maps(at, maps)?;
+        }
+        for (level, text) in &frame.log {
+            self.put(|topics| topics.log, at, &build::log(at, level, text)?)?;
+        }
+        Ok(())
+    }
+
+    /// A grid without cells is no message: viewers refuse a texture of 0 x 0.
+    fn maps(&mut self, at: Stamp, maps: &MapChanges) -> Result<()> {
+        if let Some(plan) = maps.plan.as_ref().filter(|plan| !plan.cells.is_empty()) {
+            self.put(|topics| topics.map, at, &build::plan(at, plan)?)?;
+        }
+        if let (Some(layers), Some([ultrasonic, fused])) = (&maps.layers, self.topics.layers) {
+            self.put(|_| ultrasonic, at, &build::plan(at, &layers.ultrasonic)?)?;
+            self.put(|_| fused, at, &build::plan(at, &layers.fused)?)?;
+        }
+        Ok(())
+    }
+
+    /// A range, and where the robot was then before it: all that maps it again.
+    fn range(&mut self, step: &RangeStep) -> Result<()> {
+        let (at, frame) = (step.reading.stamp, &step.reading.frame);
+        let Some(topic) = self.topics.ranges.get(frame).copied() else {
+            return Err(Fault::new("frame of a range", frame, "a transducer that was there from the start"));
+        };
+        self.put(|topics| topics.tf, at, &build::ranged_pose(step)?)?;
+        self.put(|_| topic, at, &build::range(&step.reading)?)
+    }
+
+    /// What a capture became.
+    fn seen(&mut self, frame: &Frame, step: &Step) -> Result<()> {
+        let at = step.stamp;
         let tree = build::pose_tree(&self.rig, step)?;
         self.put(|topics| topics.tf, at, &tree)?;
         let odometry = build::odometry(step, self.odom_before.replace((at, step.odom_from_robot)))?;
@@ -194,16 +259,7 @@ impl Recording {
         self.capture(frame, step)?;
         self.put(|topics| topics.points, at, &build::cloud(&step.placed)?)?;
         let scan = build::scan(&self.rig, &step.seen)?;
-        self.put(|topics| topics.scan, at, &scan)?;
-        // A grid without cells is no message: viewers refuse a texture of 0 x 0.
-        let plan = frame.maps.as_ref().and_then(|maps| maps.plan.as_ref());
-        if let Some(plan) = plan.filter(|plan| !plan.cells.is_empty()) {
-            self.put(|topics| topics.map, at, &build::plan(at, plan)?)?;
-        }
-        for (level, text) in &frame.log {
-            self.put(|topics| topics.log, at, &build::log(at, level, text)?)?;
-        }
-        Ok(())
+        self.put(|topics| topics.scan, at, &scan)
     }
 
     /// The capture, and its image before it.

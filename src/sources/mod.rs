@@ -6,6 +6,8 @@ mod image_poses;
 pub mod images;
 pub mod marks;
 mod obstacles;
+mod plan_truth;
+mod recorded_ranges;
 pub mod replay;
 pub mod rig_file;
 mod scenario;
@@ -15,6 +17,7 @@ mod truth;
 mod ultrasound;
 
 pub use obstacles::{CompareParams, Kind, TargetParams};
+pub use plan_truth::{LayerVerdict, LayerVerdicts, PlanTruth};
 pub use scenario::Scenario;
 pub use simulation::{Shot, ShotTruth, Simulation};
 pub use truth::{Found, Judge, Verdict};

@@ -1,26 +1,42 @@
-//! Replays a recording that `sinks::mcap` wrote: the same captures, bit for bit, as the run that made it.
+//! Replays a recording that `sinks::mcap` wrote: the same captures and ultrasonic ranges, bit for bit, as the run that made it.
+//! Of other programs' recordings, the ultrasonic ranges.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
+use super::recorded_ranges::{RecordedRanges, is_range};
 use crate::fault::{Fault, Result};
 use crate::image::{Capture, Drop, Dropped, Reading};
+use crate::ranges::RangeReading;
 use crate::record::bag::{Attachment, Channel, Item, Message, Reader};
 use crate::record::messages::{CaptureMessage, CompressedImage, ImageNote};
 use crate::record::schemas::{CAPTURE_TYPE, MESSAGE_ENCODING, definition, same_fields};
 use crate::record::{METADATA_RECORDING, METADATA_START, cdr, png, topics};
 use crate::time::Stamp;
 
-/// The captures of a recording, in its order. What cannot be read is counted, and the rest goes on.
+/// Ranges that are read ahead to see whether a capture comes.
+const AHEAD_MAX: usize = 4096;
+
+/// What comes next out of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Input {
+    /// A capture.
+    Capture(Box<Capture>),
+    /// An ultrasonic range.
+    Range(Box<RangeReading>),
+}
+
+/// The captures and ranges of a recording, in its order. What cannot be read is counted, and the rest goes on.
 pub struct Replay<R = BufReader<File>> {
     reader: Reader<R>,
     from_images: bool,
     attachments: Vec<(String, String, Vec<u8>)>,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
-    /// The capture that was read to see that there is one.
-    first: Option<Capture>,
+    /// What was read to see that there is something.
+    ahead: VecDeque<Input>,
+    ranges: RecordedRanges,
     /// The last image message and its log time.
     image: Option<(u64, Vec<u8>)>,
     last: Option<Stamp>,
@@ -62,7 +78,8 @@ impl<R: Read + Seek> Replay<R> {
             from_images,
             attachments,
             metadata,
-            first: None,
+            ahead: VecDeque::new(),
+            ranges: RecordedRanges::default(),
             image: None,
             last: None,
             dropped: Dropped::default(),
@@ -70,11 +87,16 @@ impl<R: Read + Seek> Replay<R> {
             without_image: 0,
             ended: false,
         };
-        match replay.advance()? {
-            Some(capture) => replay.first = Some(capture),
-            None => return Err(replay.nothing()),
+        while replay.ahead.len() < AHEAD_MAX {
+            let Some(next) = replay.advance()? else { break };
+            let is_capture = matches!(next, Input::Capture(_));
+            replay.ahead.push_back(next);
+            if is_capture {
+                return Ok(replay);
+            }
         }
-        Ok(replay)
+        // Ranges alone are a recording too, but images were asked for.
+        if replay.ahead.is_empty() || from_images { Err(replay.nothing()) } else { Ok(replay) }
     }
 
     /// Name of the run that was recorded; empty if it is not given.
@@ -104,8 +126,20 @@ impl<R: Read + Seek> Replay<R> {
 
     /// What was not given out up to now, complete after the last capture: unreadable records and messages, and captures
     /// not later than the one before.
-    pub fn dropped(&self) -> &Dropped {
-        &self.dropped
+    pub fn dropped(&self) -> Dropped {
+        let mut dropped = self.dropped.clone();
+        dropped.merge(&self.ranges.dropped);
+        dropped
+    }
+
+    /// Whether there is a topic of captures at all.
+    pub fn has_captures(&self) -> bool {
+        self.reader.channels().any(|channel| channel.topic == topics::CAPTURE)
+    }
+
+    /// Infrared ranges that were passed over.
+    pub fn other_ranges(&self) -> u64 {
+        self.ranges.others()
     }
 
     /// Captures left out because their image was not recorded; always 0 for lines.
@@ -118,11 +152,21 @@ impl<R: Read + Seek> Replay<R> {
         self.reader.messages_expected(topics::CAPTURE)
     }
 
-    /// The next capture; `None` at the end.
+    /// The next capture, past all ranges; `None` at the end. Errors as [`Replay::next_input`].
+    pub fn next_capture(&mut self) -> Result<Option<Capture>> {
+        while let Some(input) = self.next_input()? {
+            if let Input::Capture(capture) = input {
+                return Ok(Some(*capture));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The next capture or range; `None` at the end.
     ///
     /// Errors: a disk that fails, or captures written by another version; nothing follows them.
-    pub fn next_capture(&mut self) -> Result<Option<Capture>> {
-        if let Some(first) = self.first.take() {
+    pub fn next_input(&mut self) -> Result<Option<Input>> {
+        if let Some(first) = self.ahead.pop_front() {
             return Ok(Some(first));
         }
         let next = self.advance();
@@ -130,9 +174,15 @@ impl<R: Read + Seek> Replay<R> {
         next
     }
 
-    /// The next capture that is as asked for.
-    fn advance(&mut self) -> Result<Option<Capture>> {
-        while !self.ended {
+    /// The next capture that is as asked for, or range.
+    fn advance(&mut self) -> Result<Option<Input>> {
+        loop {
+            if let Some(reading) = self.ranges.next(self.ended) {
+                return Ok(Some(Input::Range(Box::new(reading))));
+            }
+            if self.ended {
+                return Ok(None);
+            }
             let item = self.reader.next().transpose();
             self.count_losses();
             let message = match item? {
@@ -140,7 +190,7 @@ impl<R: Read + Seek> Replay<R> {
                 Some(_) => continue,
                 None => {
                     self.ended = true;
-                    break;
+                    continue;
                 }
             };
             if message.channel.topic == topics::IMAGE && self.from_images {
@@ -148,11 +198,12 @@ impl<R: Read + Seek> Replay<R> {
             } else if message.channel.topic == topics::CAPTURE {
                 check_schema(&message.channel)?;
                 if let Some(capture) = self.capture(&message) {
-                    return Ok(Some(capture));
+                    return Ok(Some(Input::Capture(Box::new(capture))));
                 }
+            } else {
+                self.ranges.take(&message);
             }
         }
-        Ok(None)
     }
 
     /// The capture in a message; `None` and counted if it is not to be given out.
@@ -210,12 +261,22 @@ impl<R: Read + Seek> Replay<R> {
         let mut found: Vec<String> = self.reader.channels().map(list).collect();
         found.sort();
         found.dedup();
-        if !self.reader.channels().any(|channel| channel.topic == topics::CAPTURE) {
+        let dropped = self.dropped();
+        let lost = dropped.0.get(&Drop::BadPose).copied().unwrap_or(0);
+        if lost > 0 && !self.from_images && self.reader.channels().any(is_range) {
+            let found = format!("{lost} ultrasonic ranges, and none of them can be placed");
+            let expected = "odometry (odom → robot in /tf, or nav_msgs/msg/Odometry) and the transducers in /tf_static";
+            return Fault::new("recording", found, expected);
+        }
+        if !self.has_captures() {
             let found = if found.is_empty() { "no topic at all".to_string() } else { found.join(", ") };
-            let expected = format!("{} ({CAPTURE_TYPE}, {MESSAGE_ENCODING}): a recording of metromap", topics::CAPTURE);
+            let expected = format!(
+                "{} ({CAPTURE_TYPE}, {MESSAGE_ENCODING}): a recording of metromap; or sensor_msgs/msg/Range",
+                topics::CAPTURE
+            );
             return Fault::new("topics", found, expected);
         }
-        let dropped = self.dropped.0.iter().map(|(why, count)| format!(", {count} {why}")).collect::<String>();
+        let dropped = dropped.0.iter().map(|(why, count)| format!(", {count} {why}")).collect::<String>();
         if self.without_image > 0 {
             let found = format!("{} captures with lines and no images{dropped}", self.without_image);
             return Fault::new("recording", found, "images, as recorded with --images all, or mapping from the lines");

@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Point3};
 use super::scenario::Scenario;
 use super::ultrasound::{Heard, Instant, Ultrasound};
 use crate::fault::{Fault, Result};
-use crate::geometry::{Odom, Robot, Transform, World};
+use crate::geometry::{Odom, Robot, Transducer, Transform, World};
 use crate::image::{Capture, Drop, Dropped, Reading};
 use crate::maps::{Maps, PlanView};
 use crate::navigation::{FollowParams, Follower, MissionProgress, ScanKind, ScanRequest};
@@ -196,6 +196,11 @@ impl Simulation {
             }
         }
         ultrasound.advance(before, &now)
+    }
+
+    /// The ring's transducers: frame, and where on the robot.
+    pub fn transducers(&self) -> Vec<(String, Transform<Robot, Transducer>)> {
+        self.ultrasound.as_ref().map(Ultrasound::transducers).unwrap_or_default()
     }
 
     /// What the ring heard since it was last asked: after the last shot, what came after that.

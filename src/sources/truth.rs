@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Vector3;
 use serde::Serialize;
 
+use super::plan_truth::{LayerVerdict, LayerVerdicts};
 use crate::geometry::{Point, Robot, Transform, World};
 use crate::maps::Maps;
 use crate::navigation::Rms;
@@ -53,6 +54,9 @@ pub struct Verdict {
     pub pose_rms_m: f64,
     /// RMS angle between the estimated and the true attitude over captures.
     pub pose_rms_rad: f64,
+    /// The plan view, the ultrasonic layer and both together; only where there were ultrasonic ranges.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub map: Option<LayerVerdicts>,
     /// Bodies that the slit fell on where the camera saw it, by name: how many of their seen voxels were found.
     pub objects: BTreeMap<String, Found>,
 }
@@ -67,6 +71,9 @@ pub struct Found {
     /// Most of it was found.
     pub is_found: bool,
 }
+
+/// From one place of the robot's way to the next [m].
+const WAY_STEP_M: f64 = 0.25;
 
 type Voxel = [i32; 3];
 
@@ -84,6 +91,7 @@ pub struct Judge {
     hits: BTreeMap<Voxel, BTreeMap<u32, u32>>,
     /// One true sight of ground in each cell.
     ground_seen: BTreeMap<[i32; 2], Vector3<f64>>,
+    way_m: Vec<[f64; 2]>,
 }
 
 impl Judge {
@@ -100,6 +108,7 @@ impl Judge {
             attitude: Rms::default(),
             hits: BTreeMap::new(),
             ground_seen: BTreeMap::new(),
+            way_m: Vec::new(),
         }
     }
 
@@ -117,6 +126,10 @@ impl Judge {
         self.position.add(apart.translation.vector.norm());
         self.attitude.add(apart.rotation.angle());
 
+        let here = [world_from_robot.xyz().x, world_from_robot.xyz().y];
+        if self.way_m.last().is_none_or(|last| (here[0] - last[0]).hypot(here[1] - last[1]) >= WAY_STEP_M) {
+            self.way_m.push(here);
+        }
         let robot_from_world = world_from_robot.inverse();
         let mut own = Rms::default();
         for seen in &step.seen.points {
@@ -172,8 +185,14 @@ impl Judge {
             terrain_coverage,
             pose_rms_m: self.position.value().unwrap_or(f64::NAN),
             pose_rms_rad: self.attitude.value().unwrap_or(f64::NAN),
+            map: None,
             objects: self.objects(&occupied),
         }
+    }
+
+    /// Where the robot truly was, every so often [m].
+    pub fn way_m(&self) -> &[[f64; 2]] {
+        &self.way_m
     }
 
     /// Occupied voxels that are right, [low, high].
@@ -261,6 +280,23 @@ impl Verdict {
             self.terrain_rmse_m * 1e3,
             self.pose_rms_m * 1e3,
         )
+    }
+
+    /// A line on the layers for people.
+    pub fn map_text(&self) -> Option<String> {
+        let layer = |name: &str, v: &LayerVerdict| {
+            format!(
+                "{name} precision {:.3}, recall {:.3}, IoU {:.3}, free space wrong {:.2} %, found {:.0} %",
+                v.precision,
+                v.recall,
+                v.iou,
+                v.free_space_error * 1e2,
+                v.free_found * 1e2
+            )
+        };
+        let map = self.map.as_ref()?;
+        let layers = [("laser", &map.laser), ("ultrasonic", &map.ultrasonic), ("fused", &map.fused)];
+        Some(format!("plan view: {}", layers.map(|(name, v)| layer(name, v)).join("; ")))
     }
 }
 

@@ -63,6 +63,12 @@ impl Ultrasound {
         Ok(Self { ring: Ring::new(params, seed)?, targets: Targets::new(scene)?, due: Stamp(0), heard: Vec::new() })
     }
 
+    /// Frame and place of every transducer.
+    pub fn transducers(&self) -> Vec<(String, Transform<Robot, Transducer>)> {
+        let params = self.ring.params();
+        (0..params.count).map(|number| (transducer_frame(number), mounted(params, number))).collect()
+    }
+
     /// Whether a step of its schedule is due by then.
     pub fn is_due(&self, stamp: Stamp) -> bool {
         self.due <= stamp

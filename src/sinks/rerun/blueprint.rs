@@ -30,13 +30,15 @@ pub(super) struct Layout {
     pub bounds_m: [Vector3<f64>; 2],
     /// Whether there is a true scene to draw, and errors to plot.
     pub has_truth: bool,
+    /// Whether there are ultrasonic ranges beside the laser's points.
+    pub has_sonar: bool,
 }
 
 /// Half the viewer's vertical field of view: 55° [rad].
 const HALF_FOV_RAD: f64 = 0.48;
 
 /// Entities whose whole past is shown, not only their latest row.
-const HISTORIES: [&str; 3] = ["/world/points", "/path/estimated", "/path/true"];
+const HISTORIES: [&str; 4] = ["/world/points", "/world/echoes", "/path/estimated", "/path/true"];
 
 /// The timelines of what this crate draws.
 const TIMES: [&str; 2] = ["sim_time", "scan"];
@@ -114,13 +116,15 @@ fn write_recording(book: &mut Book) -> RecordingStreamResult<()> {
 }
 
 fn write(book: &mut Book, layout: &Layout) -> RecordingStreamResult<()> {
-    let world = world_view(book, layout)?;
-    let voxels = map_view(book, layout, "Occupancy: voxels", "/world/occupancy/**")?;
-    let terrain = map_view(book, layout, "Terrain: mesh of the ground", "/world/terrain/**")?;
-    let maps = book.container(parts::ContainerKind::Horizontal, &[voxels, terrain], &[1.0, 1.0])?;
-    let scenes = book.container(parts::ContainerKind::Vertical, &[world, maps], &[3.0, 2.0])?;
+    let scenes = if layout.has_sonar { both_sensors(book, layout)? } else { laser_alone(book, layout)? };
     let camera = camera_view(book, layout)?;
-    let plan = plan_view(book, layout)?;
+    let beside = if layout.has_sonar {
+        let voxels = map_view(book, layout, "Occupancy: voxels", "/world/occupancy/**")?;
+        let terrain = map_view(book, layout, "Terrain: mesh of the ground", "/world/terrain/**")?;
+        book.container(parts::ContainerKind::Tabs, &[voxels, terrain], &[])?
+    } else {
+        plan_view(book, layout, "Plan view", "/plan")?
+    };
     let mut plots = vec![];
     if layout.has_truth {
         plots.push(plot_view(book, "Errors", &["/metrics/point_rms_mm", "/metrics/pose_error_mm"])?);
@@ -134,16 +138,41 @@ fn write(book: &mut Book, layout: &Layout) -> RecordingStreamResult<()> {
     let about = book.view("TextDocument", "About", "/", &["/about"])?;
     let words = book.container(parts::ContainerKind::Tabs, &[log, about], &[])?;
     let column =
-        book.container(parts::ContainerKind::Vertical, &[camera, plan, plots, words], &[3.0, 3.0, 2.0, 2.0])?;
+        book.container(parts::ContainerKind::Vertical, &[camera, beside, plots, words], &[3.0, 3.0, 2.0, 2.0])?;
     let root = book.container(parts::ContainerKind::Horizontal, &[scenes, column], &[5.0, 3.0])?;
     book.finish(&root, TIMES[0])
 }
 
-/// The true scene, the robot, and the points it has seen.
-fn world_view(book: &mut Book, layout: &Layout) -> RecordingStreamResult<Part> {
+/// The scene, and below it the maps that are made of points.
+fn laser_alone(book: &mut Book, layout: &Layout) -> RecordingStreamResult<Part> {
     let name = if layout.has_truth { "World: true scene and measured points" } else { "World: measured points" };
+    let world = world_view(book, layout, name, &[])?;
+    let voxels = map_view(book, layout, "Occupancy: voxels", "/world/occupancy/**")?;
+    let terrain = map_view(book, layout, "Terrain: mesh of the ground", "/world/terrain/**")?;
+    let maps = book.container(parts::ContainerKind::Horizontal, &[voxels, terrain], &[1.0, 1.0])?;
+    book.container(parts::ContainerKind::Vertical, &[world, maps], &[3.0, 2.0])
+}
+
+/// Laser and ultrasound side by side: the same scene twice, and below what each makes of it, and both together.
+fn both_sensors(book: &mut Book, layout: &Layout) -> RecordingStreamResult<Part> {
+    let not_laser = ["- /world/points", "- /world/profile", "- /world/robot/laser", "- /world/robot/finder/**"];
+    let laser =
+        world_view(book, layout, "Laser: sheet of light and points", &["- /world/sonar/**", "- /world/echoes"])?;
+    let sound = world_view(book, layout, "Ultrasonic: ranges, and where the echoes came from", &not_laser)?;
+    let scenes = book.container(parts::ContainerKind::Horizontal, &[laser, sound], &[1.0, 1.0])?;
+    let plans = [
+        plan_view(book, layout, "Map of the laser", "/plan")?,
+        plan_view(book, layout, "Map of the ultrasonic ring", "/plan_ultrasonic")?,
+        plan_view(book, layout, "Map of both", "/plan_fused")?,
+    ];
+    let plans = book.container(parts::ContainerKind::Horizontal, &plans, &[1.0, 1.0, 1.0])?;
+    book.container(parts::ContainerKind::Vertical, &[scenes, plans], &[3.0, 2.0])
+}
+
+/// The true scene, the robot, and what it has measured, but for what is left `out`.
+fn world_view(book: &mut Book, layout: &Layout, name: &str, out: &[&str]) -> RecordingStreamResult<Part> {
     let contents = ["/world/**", "/path/**", "- /world/occupancy/**", "- /world/terrain/**"];
-    let view = book.view("3D", name, "/world", &contents)?;
+    let view = book.view("3D", name, "/world", &[&contents[..], out].concat())?;
     book.set(&view, "EyeControls3D", &from_the_side(&layout.bounds_m))?;
     book.whole_past(&view, &HISTORIES, &TIMES)?;
     Ok(view)
@@ -166,11 +195,15 @@ fn camera_view(book: &mut Book, layout: &Layout) -> RecordingStreamResult<Part> 
     Ok(view)
 }
 
-fn plan_view(book: &mut Book, layout: &Layout) -> RecordingStreamResult<Part> {
-    let view = book.view("3D", "Plan view", "/world", &["/plan", "/path/**", "/world/robot/body", "/world/profile"])?;
+fn plan_view(book: &mut Book, layout: &Layout, name: &str, plan: &str) -> RecordingStreamResult<Part> {
+    let mut contents = vec![plan, "/path/**", "/world/robot/body"];
+    contents.extend((plan == "/plan").then_some("/world/profile"));
+    let view = book.view("3D", name, "/world", &contents)?;
     let [low, high] = layout.bounds_m;
     let (middle, size) = ((low + high) / 2.0, high - low);
-    let above_m = (size.y.max(size.x / 2.0).max(1.0) / 2.0) / HALF_FOV_RAD.tan() * 1.05;
+    // Three plans beside each other are narrower than one.
+    let narrow = if layout.has_sonar { 1.0 } else { 2.0 };
+    let above_m = (size.y.max(size.x / narrow).max(1.0) / 2.0) / HALF_FOV_RAD.tan() * 1.05;
     let floor = Vector3::new(middle.x, middle.y, 0.0);
     let eye = EyeControls3D::new()
         .with_position(f32s(&(floor + Vector3::z() * above_m)))

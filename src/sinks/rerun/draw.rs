@@ -13,6 +13,7 @@ use crate::fault::{Fault, Result};
 use crate::geometry::Robot;
 use crate::image::{Image, Line};
 use crate::optics::Rig;
+use crate::pipeline::Step;
 use crate::points::Profile;
 use crate::sinks::{Frame, Start, Truth};
 use crate::time::Stamp;
@@ -94,6 +95,7 @@ impl Drawing {
                 image_px: [start.rig.camera.width as f32, start.rig.camera.height as f32],
                 bounds_m: scene::bounds(start).unwrap_or(around),
                 has_truth: !start.scene.is_empty(),
+                has_sonar: !start.transducers.is_empty(),
             },
             revision: 0,
             colours,
@@ -114,36 +116,49 @@ impl Drawing {
         Ok(())
     }
 
+    /// Takes note of what gives readings; tells whether the layout must show more than before.
+    pub(super) fn note_sensors(&mut self, frame: &Frame) -> bool {
+        let new = !frame.ranges.is_empty() && !self.layout.has_sonar;
+        self.layout.has_sonar |= new;
+        new
+    }
+
     /// Draws a step.
     pub(super) fn step(&mut self, out: &Out, frame: &Frame) -> Result<()> {
-        let step = &frame.step;
-        out.log("/world/robot", &pose(&step.world_from_robot))?;
-        self.robot_parts(out, frame)?;
-        self.points(out, frame)?;
-        self.grow_path(out, "estimated", step.world_from_robot.xyz(), [255, 150, 30])?;
-        if let Some(truth) = &frame.truth {
-            self.truth(out, frame, truth)?;
+        match (&frame.step, frame.ranges.last()) {
+            (Some(step), _) => self.capture(out, frame, step)?,
+            (None, Some(ranged)) => {
+                let here = &ranged.step.world_from_robot;
+                out.log("/world/robot", &pose(here))?;
+                self.grow_path(out, "estimated", here.xyz(), [255, 150, 30])?;
+            }
+            (None, None) => {}
         }
-        self.camera(out, frame)?;
         if let Some(changes) = &frame.maps {
             maps::draw(out, changes, &self.colours)?;
         }
-        let numbers = [
-            ("points", step.placed.points.len() as u64),
-            ("dropped", step.dropped.0.values().sum::<u64>()),
-            ("lost", frame.dropped.lost()),
-        ];
-        for (name, number) in numbers {
-            out.log(format!("/metrics/{name}"), &Scalars::single(number as f64))?;
-        }
+        out.log("/metrics/lost", &Scalars::single(frame.dropped.lost() as f64))?;
         for (level, text) in &frame.log {
             out.log("/log", &TextLog::new(text.as_str()).with_level(*level))?;
         }
         Ok(())
     }
 
-    fn robot_parts(&self, out: &Out, frame: &Frame) -> Result<()> {
-        let step = &frame.step;
+    /// Draws what a capture became.
+    fn capture(&mut self, out: &Out, frame: &Frame, step: &Step) -> Result<()> {
+        out.log("/world/robot", &pose(&step.world_from_robot))?;
+        self.robot_parts(out, step)?;
+        self.points(out, step)?;
+        self.grow_path(out, "estimated", step.world_from_robot.xyz(), [255, 150, 30])?;
+        if let Some(truth) = &frame.truth {
+            self.truth(out, step, truth)?;
+        }
+        self.camera(out, frame, step)?;
+        out.log("/metrics/points", &Scalars::single(step.placed.points.len() as f64))?;
+        out.log("/metrics/dropped", &Scalars::single(step.dropped.0.values().sum::<u64>() as f64))
+    }
+
+    fn robot_parts(&self, out: &Out, step: &Step) -> Result<()> {
         let robot_from_sensor = self.rig.robot_from_sensor(step.cylinder_pulse)?;
         out.log("/world/robot/finder", &pose(&robot_from_sensor))?;
         match sheet(&step.seen) {
@@ -152,8 +167,8 @@ impl Drawing {
         }
     }
 
-    fn points(&mut self, out: &Out, frame: &Frame) -> Result<()> {
-        let points = frame.step.placed.points.iter().map(|p| p.point.xyz).filter(|p| p.iter().all(|c| c.is_finite()));
+    fn points(&mut self, out: &Out, step: &Step) -> Result<()> {
+        let points = step.placed.points.iter().map(|p| p.point.xyz).filter(|p| p.iter().all(|c| c.is_finite()));
         let points: Vec<Vector3<f64>> = points.collect();
         for point in &points {
             self.see(point);
@@ -170,8 +185,8 @@ impl Drawing {
         out.log("/world/points", &history.with_point_shading(PointShading::Flat))
     }
 
-    fn truth(&mut self, out: &Out, frame: &Frame, truth: &Truth) -> Result<()> {
-        let (here, true_pose) = (&frame.step.world_from_robot, &truth.world_from_robot);
+    fn truth(&mut self, out: &Out, step: &Step, truth: &Truth) -> Result<()> {
+        let (here, true_pose) = (&step.world_from_robot, &truth.world_from_robot);
         self.grow_path(out, "true", true_pose.xyz(), [255, 90, 220])?;
         for (index, by) in &truth.moved {
             if self.moved.get(index) == Some(by) {
@@ -206,23 +221,23 @@ impl Drawing {
     }
 
     /// The image, and over it the line of the same capture: never one with the other of another.
-    fn camera(&mut self, out: &Out, frame: &Frame) -> Result<()> {
+    fn camera(&mut self, out: &Out, frame: &Frame, step: &Step) -> Result<()> {
         let Some(image) = &frame.image else {
             if std::mem::take(&mut self.image_shown) {
                 out.log("/camera/image", &Clear::flat())?;
             }
-            return out.log("/camera/image/line", &line_strips(&frame.step.line));
+            return out.log("/camera/image/line", &line_strips(&step.line));
         };
-        let rare = self.image_at.is_none_or(|at| (frame.step.stamp - at).0 >= IMAGE_GAP_NS);
+        let rare = self.image_at.is_none_or(|at| (step.stamp - at).0 >= IMAGE_GAP_NS);
         if !rare && self.image_bytes > IMAGE_BYTES_MAX {
             return Ok(());
         }
         let jpeg = encode(image)?;
         self.image_bytes += jpeg.len();
-        self.image_at = Some(frame.step.stamp);
+        self.image_at = Some(step.stamp);
         self.image_shown = true;
         out.log("/camera/image", &EncodedImage::new(jpeg).with_media_type("image/jpeg"))?;
-        out.log("/camera/image/line", &line_strips(&frame.step.line))
+        out.log("/camera/image/line", &line_strips(&step.line))
     }
 
     fn see(&mut self, point: &Vector3<f64>) {

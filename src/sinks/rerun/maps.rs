@@ -34,7 +34,12 @@ pub(super) fn draw(out: &Out, changes: &MapChanges, colours: &HeightColours) -> 
             out.log(entity, &terrain(tile, colours))?;
         }
     }
-    changes.plan.as_ref().map_or(Ok(()), |plan| draw_plan(out, plan))
+    if let Some(plan) = &changes.plan {
+        draw_plan(out, "/plan", plan)?;
+    }
+    let Some(layers) = &changes.layers else { return Ok(()) };
+    draw_plan(out, "/plan_ultrasonic", &layers.ultrasonic)?;
+    draw_plan(out, "/plan_fused", &layers.fused)
 }
 
 fn terrain(tile: &TerrainMesh, colours: &HeightColours) -> Mesh3D {
@@ -58,12 +63,12 @@ pub(super) fn vertex_normals(vertices: &[[f32; 3]], triangles: &[[u32; 3]]) -> V
     sums.iter().map(|sum| sum.try_normalize(1e-20).unwrap_or_else(Vector3::z).into()).collect()
 }
 
-fn draw_plan(out: &Out, plan: &PlanView) -> Result<()> {
+fn draw_plan(out: &Out, entity: &str, plan: &PlanView) -> Result<()> {
     let rows = plan.cells.chunks_exact(plan.width.max(1));
     // The viewer takes the top row first; −1 becomes 255, which its map colours take for unknown.
     let cells: Vec<u8> = rows.rev().flatten().map(|cell| *cell as u8).collect();
     if cells.is_empty() || cells.len() != plan.cells.len() {
-        return out.log("/plan", &Clear::flat());
+        return out.log(entity, &Clear::flat());
     }
     let size = [plan.width as u32, plan.height as u32];
     let format = ImageFormat::from_color_model(size, ColorModel::L, ChannelDatatype::U8);
@@ -71,7 +76,7 @@ fn draw_plan(out: &Out, plan: &PlanView) -> Result<()> {
     let map = GridMap::new(cells, format, plan.resolution_m as f32)
         .with_translation([x as f32, y as f32, -PLAN_UNDER_M as f32])
         .with_colormap(Colormap::RvizMap);
-    out.log("/plan", &map)
+    out.log(entity, &map)
 }
 
 #[cfg(test)]

@@ -10,7 +10,10 @@
 //! /world/occupancy/I_J_K     occupied voxels of a block, coloured by height
 //! /world/terrain/I_J         a tile of the terrain mesh, coloured by height
 //! /path/{estimated,true}     where the robot went
+//! /world/sonar/FRAME         the last range of each ultrasonic transducer
+//! /world/echoes              where each echo truly came from (simulation), else where it seems to
 //! /plan                      the plan view
+//! /plan_ultrasonic, /plan_fused  the ultrasonic layer, and both together
 //! /camera/image, image/line  the capture and the line found in it
 //! /metrics/..., /log, /about
 //! ```
@@ -20,6 +23,7 @@ mod draw;
 mod maps;
 mod scene;
 mod serve;
+mod sonar;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -175,15 +179,16 @@ impl Sink for RerunSink {
         let Some(run) = self.run.as_mut() else {
             return Err(Fault::new("drawing a step", "no begin before it", "begin, step, finish"));
         };
-        let at = frame.step.stamp.0;
-        let time = if at < EPOCH_NS_MIN {
-            TimeCell::from_duration_nanos(at)
-        } else {
-            TimeCell::from_timestamp_nanos_since_epoch(at)
-        };
-        run.out.0.set_time("sim_time", time);
-        run.out.0.set_time("scan", TimeCell::from_sequence(i64::try_from(frame.step.id).unwrap_or(i64::MAX)));
-        if !run.begun {
+        for ranged in &frame.ranges {
+            run.out.0.set_time("sim_time", time_cell(ranged.step.reading.stamp.0));
+            sonar::draw(&run.out, ranged)?;
+        }
+        run.out.0.set_time("sim_time", time_cell(frame.stamp().0));
+        if let Some(step) = &frame.step {
+            run.out.0.set_time("scan", TimeCell::from_sequence(i64::try_from(step.id).unwrap_or(i64::MAX)));
+        }
+        let new_sensor = run.drawing.note_sensors(frame);
+        if !run.begun || new_sensor {
             run.begun = true;
             run.drawing.send_blueprint(&run.out)?;
         }
@@ -203,6 +208,15 @@ impl Sink for RerunSink {
         run.out.0.flush_with_timeout(Duration::from_secs(FLUSH_S_MAX)).map_err(unfinished)?;
         run.out.0.finalize_deferred_sinks();
         self.files.iter().try_for_each(|file| check_file(file))
+    }
+}
+
+/// A stamp in the viewer: of a run, or of the world's clock.
+fn time_cell(at_ns: i64) -> TimeCell {
+    if at_ns < EPOCH_NS_MIN {
+        TimeCell::from_duration_nanos(at_ns)
+    } else {
+        TimeCell::from_timestamp_nanos_since_epoch(at_ns)
     }
 }
 
@@ -272,6 +286,8 @@ mod tests {
         Start {
             name: "a name / with marks".into(),
             rig: Rig::metro_i(),
+            has_finder: true,
+            transducers: vec![],
             scene: vec![
                 ("box/1 \u{fc}".into(), [200, 100, 50], mesh),
                 ("empty".into(), [0; 3], Arc::new(Mesh::default())),
@@ -312,7 +328,8 @@ mod tests {
             dropped,
         };
         Frame {
-            step: Arc::new(step),
+            ranges: vec![],
+            step: Some(Arc::new(step)),
             image: (id != 1).then(|| Arc::new(Image::new(512, 480, 127, vec![3; 512 * 480]).unwrap())),
             truth: Some(Truth { world_from_robot, moved, point_rms_m: Some(0.004) }),
             maps: (id == 2).then(|| Arc::new(maps)),

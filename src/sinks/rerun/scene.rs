@@ -9,7 +9,7 @@ use rerun::{
 
 use super::draw::HeightColours;
 use super::maps::vertex_normals;
-use super::{Out, entity, f32s};
+use super::{Out, entity, f32s, sonar};
 use crate::fault::Result;
 use crate::geometry::Transform;
 use crate::optics::{Laser, Rig};
@@ -33,7 +33,9 @@ pub(super) fn draw_start(out: &Out, start: &Start, colours: &HeightColours) -> R
             out.log_static(entity(&["world", "scene", name]), &body(mesh, *colour))?;
         }
     }
-    draw_robot(out, &start.rig)?;
+    if start.has_finder {
+        draw_robot(out, &start.rig)?;
+    }
     let series = [
         ("point_rms_mm", "point RMS [mm]", [255, 80, 60]),
         ("pose_error_mm", "pose error [mm]", [90, 170, 255]),
@@ -135,6 +137,9 @@ fn about(start: &Start, colours: &HeightColours) -> String {
         (low + high) / 2.0,
         if start.scene.is_empty() { "" } else { " **Magenta path**: where it truly was." },
     );
+    if !start.transducers.is_empty() {
+        page += sonar::LEGEND;
+    }
     for (key, value) in &start.metadata {
         let _ = write!(page, "\n- {key}: `{}`", value.replace('`', "'"));
     }

@@ -1,0 +1,318 @@
+//! What is true of the plan view's cells, and how good a layer is against it.
+
+use serde::Serialize;
+
+use crate::fault::Result;
+use crate::geometry::Point;
+use crate::maps::{Layers, PlanParams, PlanView};
+use crate::world::{Scene, Surfaces};
+
+/// From where the ground is looked for, downwards [m].
+const SKY_M: f64 = 1e3;
+/// A surface on the edge between two cells is in the one with the higher coordinates [m].
+const EDGE_M: f64 = 1e-6;
+/// What is farther from the robot's way than the ranges that are mapped is not asked for [m].
+const REACH_M: f64 = 5.0;
+
+const UNKNOWN: i8 = -1;
+const FREE: i8 = 0;
+const OCCUPIED: i8 = 100;
+
+/// How good a layer is. What lies inside bodies or behind walls is not judged; rates of nothing are null.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LayerVerdict {
+    /// Share of the occupied cells with a true surface within one cell, also diagonally.
+    pub precision: f64,
+    /// Share of the cells with a surface in sight of the robot's way that have an occupied one as near.
+    pub recall: f64,
+    /// Intersection over union that follows from both, 1/(1/precision + 1/recall − 1).
+    pub iou: f64,
+    /// Share of the free cells through which a surface passes: where a robot would run into something.
+    pub free_space_error: f64,
+    /// Share of the truly free cells in sight of the robot's way that are free.
+    pub free_found: f64,
+    /// Share of them that are occupied, with no surface within one cell.
+    pub free_blocked: f64,
+}
+
+/// How good laser, ultrasound and both together are.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LayerVerdicts {
+    /// The laser's view.
+    pub laser: LayerVerdict,
+    /// The ultrasonic layer.
+    pub ultrasonic: LayerVerdict,
+    /// Both.
+    pub fused: LayerVerdict,
+}
+
+/// What is true of the cells of a view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlanTruth {
+    /// Occupied: a surface passes through the cell between the heights that a robot can hit. Free: none does, and the robot
+    /// could get there from its way. Unknown: inside bodies and behind walls.
+    pub view: PlanView,
+    /// Whether a straight line leads to each cell from the robot's way, past occupied ones, no longer than 5 m.
+    in_sight: Vec<bool>,
+}
+
+impl PlanTruth {
+    /// The truth of the cells of a view; `way_m` are places where the robot was.
+    ///
+    /// # Errors
+    /// What [`Surfaces::new`] refuses.
+    pub fn new(
+        like: &PlanView,
+        scene: &Scene,
+        surfaces: &Surfaces,
+        plan: &PlanParams,
+        way_m: &[[f64; 2]],
+    ) -> Result<Self> {
+        let ground = scene.bodies.iter().filter(|body| body.ground).cloned().collect();
+        let ground = Surfaces::new(&Scene { bodies: ground, ..scene.clone() })?;
+        let down = -nalgebra::Vector3::z();
+        let mut view = PlanView { cells: vec![UNKNOWN; like.cells.len()], ..like.clone() };
+        for at in 0..view.cells.len() {
+            let low = corner(like, at);
+            let middle = low.map(|c| c + like.resolution_m / 2.0);
+            let hit = ground.cast(Point::new(middle[0], middle[1], SKY_M), &down, 2.0 * SKY_M);
+            let floor_m = hit.map_or(0.0, |hit| SKY_M - hit.range_m);
+            let [x, y] = low.map(|c| c - EDGE_M);
+            let side = like.resolution_m;
+            let (min, max) = ([x, y, floor_m + plan.clearance_m], [x + side, y + side, floor_m + plan.height_m]);
+            if surfaces.touches(min, max) {
+                view.cells[at] = OCCUPIED;
+            }
+        }
+        let starts: Vec<usize> = way_m.iter().filter_map(|at| index(like, *at)).collect();
+        flood(&mut view, &starts);
+        let in_sight = seen_from(&view, way_m);
+        Ok(Self { view, in_sight })
+    }
+
+    /// Judges all three layers, which have the cells of this truth.
+    pub fn judge(&self, layers: &Layers) -> LayerVerdicts {
+        LayerVerdicts {
+            laser: self.verdict(&layers.laser),
+            ultrasonic: self.verdict(&layers.ultrasonic),
+            fused: self.verdict(&layers.fused),
+        }
+    }
+
+    /// Judges one.
+    fn verdict(&self, layer: &PlanView) -> LayerVerdict {
+        let mut right = Share::default(); // of the occupied cells
+        let mut found = Share::default(); // of the surfaces in sight
+        let mut wrong = Share::default(); // of the free cells
+        let (mut open, mut blocked) = (Share::default(), Share::default()); // of the free cells in sight
+        let cells = self.view.cells.iter().zip(&layer.cells).zip(&self.in_sight);
+        for (at, ((truth, said), in_sight)) in cells.enumerate() {
+            if *truth == UNKNOWN {
+                continue;
+            }
+            let beside_surface = near(&self.view, at);
+            match *said {
+                OCCUPIED => right.add(beside_surface),
+                FREE => wrong.add(*truth == OCCUPIED),
+                _ => {}
+            }
+            if *in_sight && *truth == OCCUPIED {
+                found.add(near(layer, at));
+            } else if *in_sight {
+                open.add(*said == FREE);
+                blocked.add(*said == OCCUPIED && !beside_surface);
+            }
+        }
+        let (precision, recall) = (right.value(), found.value());
+        LayerVerdict {
+            precision,
+            recall,
+            iou: 1.0 / (1.0 / precision + 1.0 / recall - 1.0),
+            free_space_error: wrong.value(),
+            free_found: open.value(),
+            free_blocked: blocked.value(),
+        }
+    }
+}
+
+/// How many of how many.
+#[derive(Clone, Copy, Default)]
+struct Share {
+    yes: u64,
+    all: u64,
+}
+
+impl Share {
+    fn add(&mut self, yes: bool) {
+        self.yes += u64::from(yes);
+        self.all += 1;
+    }
+
+    /// NaN of nothing.
+    fn value(self) -> f64 {
+        self.yes as f64 / self.all as f64
+    }
+}
+
+/// The lower left corner of a cell [m].
+fn corner(view: &PlanView, at: usize) -> [f64; 2] {
+    let (x, y) = (at % view.width, at / view.width);
+    [view.origin_m[0] + x as f64 * view.resolution_m, view.origin_m[1] + y as f64 * view.resolution_m]
+}
+
+/// The cell over a place [m].
+fn index(view: &PlanView, place_m: [f64; 2]) -> Option<usize> {
+    let x = ((place_m[0] - view.origin_m[0]) / view.resolution_m).floor();
+    let y = ((place_m[1] - view.origin_m[1]) / view.resolution_m).floor();
+    let within = x >= 0.0 && y >= 0.0 && x < view.width as f64 && y < view.height as f64;
+    within.then(|| y as usize * view.width + x as usize)
+}
+
+/// Whether the cell or one of its eight neighbours is occupied.
+fn near(view: &PlanView, at: usize) -> bool {
+    let (x, y) = (at % view.width, at / view.width);
+    let rows = y.saturating_sub(1)..(y + 2).min(view.height);
+    rows.into_iter().any(|row| {
+        let columns = x.saturating_sub(1)..(x + 2).min(view.width);
+        columns.into_iter().any(|column| view.cells[row * view.width + column] == OCCUPIED)
+    })
+}
+
+/// Frees every cell that is joined to a start by cells that are not occupied.
+fn flood(view: &mut PlanView, starts: &[usize]) {
+    let mut open: Vec<usize> = starts.iter().copied().filter(|at| view.cells[*at] != OCCUPIED).collect();
+    while let Some(at) = open.pop() {
+        if std::mem::replace(&mut view.cells[at], FREE) == FREE {
+            continue;
+        }
+        let (x, y) = (at % view.width, at / view.width);
+        open.extend((x > 0).then(|| at - 1));
+        open.extend((x + 1 < view.width).then(|| at + 1));
+        open.extend((y > 0).then(|| at - view.width));
+        open.extend((y + 1 < view.height).then(|| at + view.width));
+        // Back to those that are to be looked at.
+        while open.last().is_some_and(|next| view.cells[*next] != UNKNOWN) {
+            open.pop();
+        }
+    }
+}
+
+/// Which cells straight lines reach, rays half a cell apart at their ends.
+fn seen_from(view: &PlanView, way_m: &[[f64; 2]]) -> Vec<bool> {
+    let mut seen = vec![false; view.cells.len()];
+    let step_m = view.resolution_m / 2.0;
+    let rays = (std::f64::consts::TAU * REACH_M / step_m).ceil() as u32;
+    let steps = (REACH_M / step_m) as u32;
+    for [x, y] in way_m {
+        for ray in 0..rays {
+            let (sin, cos) = (f64::from(ray) / f64::from(rays) * std::f64::consts::TAU).sin_cos();
+            for step in 0..=steps {
+                let along = f64::from(step) * step_m;
+                let Some(at) = index(view, [x + along * cos, y + along * sin]) else { break };
+                seen[at] = true;
+                if view.cells[at] == OCCUPIED {
+                    break;
+                }
+            }
+        }
+    }
+    seen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::{Body, Material, Motion, Shape};
+    use nalgebra::Isometry3;
+
+    /// A room of 2 x 1 m with a box in it, on a floor.
+    fn scene() -> Scene {
+        let body = |name: &str, size: [f64; 3], at: [f64; 3]| Body {
+            name: name.into(),
+            shape: Shape::Box { size: size.into() },
+            pose: Isometry3::translation(at[0], at[1], at[2]),
+            material: Material::default(),
+            motion: Motion::Static,
+            ground: false,
+        };
+        let floor = Body {
+            shape: Shape::Plane,
+            pose: Isometry3::identity(),
+            ground: true,
+            ..body("floor", [1.0; 3], [0.0; 3])
+        };
+        let bodies = vec![
+            floor,
+            body("east", [0.1, 1.2, 1.0], [1.05, 0.0, 0.5]),
+            body("west", [0.1, 1.2, 1.0], [-1.05, 0.0, 0.5]),
+            body("north", [2.0, 0.1, 1.0], [0.0, 0.55, 0.5]),
+            body("south", [2.0, 0.1, 1.0], [0.0, -0.55, 0.5]),
+            body("block", [0.4, 0.4, 2.0], [0.5, 0.0, 1.0]),
+            body("lamp", [0.2, 0.2, 0.2], [-0.5, 0.0, 1.4]),
+        ];
+        Scene { bodies, ..Scene::default() }
+    }
+
+    fn blank() -> PlanView {
+        let (width, height) = (48, 28);
+        PlanView { resolution_m: 0.05, origin_m: [-1.2, -0.7], width, height, cells: vec![UNKNOWN; width * height] }
+    }
+
+    fn truth() -> PlanTruth {
+        let scene = scene();
+        let surfaces = Surfaces::new(&scene).unwrap();
+        PlanTruth::new(&blank(), &scene, &surfaces, &PlanParams::default(), &[[-0.5, 0.0]]).unwrap()
+    }
+
+    fn cell(view: &PlanView, x: f64, y: f64) -> i8 {
+        view.cells[index(view, [x, y]).unwrap()]
+    }
+
+    #[test]
+    fn truth_is_surfaces_and_the_space_around_the_robot() {
+        let truth = truth();
+        let view = &truth.view;
+        assert_eq!([cell(view, 1.02, 0.1), cell(view, 0.31, 0.01), cell(view, -0.3, 0.52)], [OCCUPIED; 3]);
+        assert_eq!(
+            [cell(view, -0.5, 0.0), cell(view, 0.9, 0.0), cell(view, 0.5, 0.4)],
+            [FREE; 3],
+            "also behind the block"
+        );
+        assert_eq!([cell(view, 0.5, 0.0), cell(view, 1.18, 0.0), cell(view, 0.0, 0.68)], [UNKNOWN; 3]);
+        let seen = |x: f64, y: f64| truth.in_sight[index(view, [x, y]).unwrap()];
+        assert!(seen(0.31, 0.01) && seen(-1.02, 0.0) && !seen(0.9, 0.0) && !seen(0.69, 0.01));
+    }
+
+    #[test]
+    fn a_perfect_layer_is_perfect_and_each_mistake_shows_in_its_rate() {
+        let truth = truth();
+        let perfect = truth.verdict(&truth.view);
+        assert_eq!(
+            perfect,
+            LayerVerdict {
+                precision: 1.0,
+                recall: 1.0,
+                iou: 1.0,
+                free_space_error: 0.0,
+                free_found: 1.0,
+                free_blocked: 0.0
+            }
+        );
+        let nothing = truth.verdict(&blank());
+        assert!(nothing.precision.is_nan() && nothing.iou.is_nan() && nothing.free_space_error.is_nan());
+        assert_eq!((nothing.recall, nothing.free_found), (0.0, 0.0));
+        // One cell of a wall called free, one in the open called occupied.
+        let mut layer = truth.view.clone();
+        let free = layer.cells.iter().filter(|cell| **cell == FREE).count() as f64;
+        let [wall, open] = [[1.02, 0.1], [-0.5, 0.2]].map(|at| index(&layer, at).unwrap());
+        (layer.cells[wall], layer.cells[open]) = (FREE, OCCUPIED);
+        let verdict = truth.verdict(&layer);
+        assert!((verdict.free_space_error - 1.0 / free).abs() < 1e-9, "{verdict:?}");
+        assert!(verdict.precision < 1.0 && verdict.free_blocked > 0.0 && verdict.recall == 1.0, "{verdict:?}");
+        assert!(verdict.iou < 1.0);
+        // What is claimed inside a body or behind a wall is not judged.
+        let mut behind = truth.view.clone();
+        behind.cells[index(&layer, [1.18, 0.0]).unwrap()] = OCCUPIED;
+        assert_eq!(truth.verdict(&behind), perfect);
+    }
+}
