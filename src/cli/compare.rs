@@ -6,17 +6,22 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::Exit;
-use super::session::{interrupted, progress_bar, stop_requested};
-use crate::compare::{Plan, Sensors, csv, fingerprint, page, run_all, sum_up, verdict, write_whole};
+use super::output::start;
+use super::run::drive;
+use super::session::{Session, interrupted, progress_bar, stop_requested};
+use crate::compare::{Plan, Sensors, csv, fingerprint, page, run_all, scenario_of, sum_up, verdict, write_whole};
 use crate::fault::{Fault, Result};
-use crate::sources::Scenario;
+use crate::pipeline::Pipeline;
+use crate::sinks::Sink;
+use crate::sinks::rerun::{RerunSink, Target};
+use crate::sources::{Judge, Scenario, Simulation};
 
 const JSON_HELP: &str = "\
 JSON keys: name, version, fingerprint, seeds, sensors, terms, sim_s, travel_m, collisions, \
 classes {class: {laser | ultrasonic: {opportunities, detected, rate, ci95, encounters, false_share {hits, of, rate, ci95}, \
 range_rmse_m, bearing_rmse_rad, first_detection_m, first_detection_s {value, ci95}, by_distance [{from_m, to_m, hits, of, rate, ci95}]}}}, \
 order [class], false_obstacles {sensor: {of_reports, of_seconds}}, \
-map {laser | ultrasonic | fused: {iou, precision, recall, called_free, called_occupied, free_found}}, \
+map {laser | ultrasonic | fused: {iou, precision, recall, free_space_error, free_found, free_blocked}}, \
 needs {sensor: {power_w, kb_per_s, line_kb_per_s, per_s}}, \
 differences [{what, measure, more_is_better, difference, p, p_holm, winner}], verdict [sentence], files, redone. \
 null: not measured.
@@ -41,6 +46,9 @@ pub struct Options {
     /// Seeds at a time [default: as many as there are processors]
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
+    /// Leave out view.rrd, the first seed with both sensors for the viewer
+    #[arg(long)]
+    pub no_recording: bool,
     /// Print one JSON object on stdout instead of a summary on stderr
     #[arg(long)]
     pub json: bool,
@@ -97,7 +105,11 @@ pub fn run(options: Options) -> Result<Exit> {
     let mut value =
         serde_json::to_value(&found).map_err(|e| Fault::new("comparison", e, "numbers that JSON can hold"))?;
     value["verdict"] = verdict(&found).into();
-    let files = ["compare.json", "compare.csv", "report.html"].map(|name| dir.join(name));
+    let files = ["compare.json", "compare.csv", "report.html", "view.rrd"].map(|name| dir.join(name));
+    if !options.no_recording && !record(&files[3], &scenario_of(&scenario, scenario.seed, sensors), &fingerprint)? {
+        eprintln!("stopped before the recording was whole: the same command goes on");
+        return Ok(Exit::Lossy);
+    }
     value["files"] = files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().into();
     let texts = [format!("{value:#}\n"), csv(&found), page(&found, &pictures, "")?];
     for (file, text) in files.iter().zip(&texts) {
@@ -114,4 +126,35 @@ pub fn run(options: Options) -> Result<Exit> {
     }
     eprintln!("open {}", files[2].display());
     Ok(Exit::Done)
+}
+
+/// Drives the first seed once more into a file for the viewer, unless it is there already; whether it is whole.
+fn record(path: &Path, scenario: &Scenario, fingerprint: &str) -> Result<bool> {
+    let mark = path.with_extension("of");
+    if path.exists() && std::fs::read_to_string(&mark).is_ok_and(|of| of == fingerprint) {
+        return Ok(true);
+    }
+    let beside = path.with_extension("part");
+    let mut simulation = Simulation::new(scenario)?;
+    let mut judge = Judge::new(&scenario.scene, scenario.pipeline.maps.grid.voxel_m);
+    let mut begin = start(&scenario.name, &scenario.rig);
+    begin.scene = simulation.pictures();
+    begin.transducers = simulation.transducers();
+    begin.metadata.push(("seed".into(), scenario.seed.to_string()));
+    let sinks: Vec<Box<dyn Sink>> = vec![Box::new(RerunSink::new(&[Target::Save(beside.clone())])?)];
+    let pipeline = Pipeline::new(scenario.rig.clone(), scenario.pipeline.clone())?;
+    let mut session = Session::begin(pipeline, begin, sinks, Some(1000))?;
+    session.progress(0, "one seed for the viewer");
+    let driven = drive(&mut session, &mut simulation, &mut judge, false);
+    let failed = session.finish();
+    driven?;
+    if let Some(fault) = failed.into_iter().next() {
+        return Err(fault);
+    }
+    if stop_requested() {
+        return Ok(false);
+    }
+    std::fs::rename(&beside, path).map_err(|e| Fault::io(path, &e))?;
+    write_whole(&mark, fingerprint.as_bytes())?;
+    Ok(true)
 }

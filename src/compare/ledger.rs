@@ -122,13 +122,19 @@ impl Ledger {
         stamp: Stamp,
         world_from_robot: &Transform<World, Robot>,
         moved: &[(usize, Isometry3<f64>)],
-    ) -> Result<bool> {
+    ) -> Result<()> {
         let now_s = stamp.as_secs();
         let since = self.looked_s.map_or(f64::INFINITY, |last| now_s - last);
-        if since < LOOK_S {
-            return Ok(false);
-        }
         self.stage.set(now_s, moved)?;
+        if since < LOOK_S {
+            for (site, open) in self.stage.sites.iter().zip(&mut self.open) {
+                let Some(open) = open.as_mut().filter(|open| open.in_play && self.stage.moves(site)) else { continue };
+                if let Some(view) = self.stage.view(site, world_from_robot) {
+                    open.view = view;
+                }
+            }
+            return Ok(());
+        }
         let speed = if since.is_finite() { (world_from_robot.xyz() - self.foot).norm() / since } else { 0.0 };
         let fast = speed > self.stage.params.fast_m_s;
         (self.looked_s, self.foot) = (Some(now_s), world_from_robot.xyz());
@@ -138,7 +144,7 @@ impl Ledger {
             let view = class.and_then(|class| Some((class, self.stage.view(site, world_from_robot)?)));
             self.enter(index, now_s, since, view);
         }
-        Ok(true)
+        Ok(())
     }
 
     fn enter(&mut self, index: usize, now_s: f64, since: f64, view: Option<(String, View)>) {

@@ -189,22 +189,22 @@ fn maps(found: &Comparison, pictures: &[Picture]) -> Result<String> {
             measured(r.iou, 1.0, 2, "not measured"),
             percent(r.precision),
             percent(r.recall),
-            percent(r.called_free),
-            percent(r.called_occupied),
+            percent(r.free_space_error),
+            percent(r.free_blocked),
             percent(r.free_found),
         ])
     });
     let mut out = String::from("<h2>Maps</h2>")
         + "<p>Against what was within reach of the robot's way: cells of 5 cm, right within one cell; means over seeds with 95 % \
-           intervals. “Called free” is what a robot would run into, “called occupied” is where it would not dare to go.</p>"
+           intervals. “Free, but not so” is the share of a map's free cells that a robot would run into, “blocked, but free” the share of free cells where it would not dare to go.</p>"
         + &html::table(
             [
                 "map",
                 "IoU",
                 "precision [%]",
                 "recall [%]",
-                "occupied called free [%]",
-                "free called occupied [%]",
+                "free, but not so [%]",
+                "blocked, but free [%]",
                 "free found [%]",
             ],
             rows,

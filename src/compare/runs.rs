@@ -190,3 +190,84 @@ pub fn run_all(plan: &Plan, stop: &AtomicBool, progress: &(dyn Fn(u64) + Sync)) 
     outcome.done = seeds.iter().filter(|seed| file_of(plan.dir, **seed).exists()).count() as u64;
     Ok(outcome)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scenario(dir: &Path, duration_s: f64) -> Scenario {
+        let path = dir.join("small.toml");
+        let text = format!(
+            "name = 'small'\nseed = 3\nduration_s = {duration_s}\n[world]\nground = true\n[[world.cylinder]]\nname = 'bin'\n\
+             position = [2.0, 0.0]\nradius = 0.15\nheight = 0.5\n[robot]\nstart = {{ x_m = 0, y_m = 0, yaw_deg = 0 }}\n[sonar]\n\
+             [[mission]]\ngo_to = [1.0, 0.0]\nspeed_m_s = 0.3\n"
+        );
+        std::fs::write(&path, text).unwrap();
+        Scenario::load(&path, &[]).unwrap()
+    }
+
+    fn plan<'a>(scenario: &'a Scenario, fingerprint: &'a str, dir: &'a Path, threads: usize) -> Plan<'a> {
+        Plan { scenario, fingerprint, seeds: 3, sensors: Sensors::BOTH, threads, dir }
+    }
+
+    fn all(plan: &Plan) -> Outcome {
+        run_all(plan, &AtomicBool::new(false), &|_| {}).unwrap()
+    }
+
+    fn files(dir: &Path) -> Vec<String> {
+        (3..6).map(|seed| std::fs::read_to_string(file_of(dir, seed)).unwrap()).collect()
+    }
+
+    #[test]
+    fn what_was_stopped_goes_on_and_ends_with_the_same_bits() {
+        let home = tempfile::tempdir().unwrap();
+        let scenario = scenario(home.path(), 1.0);
+        let print = fingerprint(&scenario, Sensors::BOTH);
+        let [once, twice] = ["once", "twice"].map(|name| home.path().join(name));
+        let undisturbed = all(&plan(&scenario, &print, &once, 2));
+        assert_eq!((undisturbed.trials.len(), undisturbed.kept, undisturbed.done), (3, 0, 3));
+        assert!(undisturbed.trials.iter().all(|trial| trial.captures > 0 && trial.pings > 10));
+        assert_ne!(undisturbed.trials[0].classes, undisturbed.trials[1].classes);
+
+        // Stopped in the middle of the second seed.
+        let stop = AtomicBool::new(false);
+        let halfway = |thousandths: u64| stop.store(thousandths > 400, Ordering::SeqCst);
+        let stopped = run_all(&plan(&scenario, &print, &twice, 1), &stop, &halfway).unwrap();
+        assert!(stopped.trials.is_empty() && stopped.done < 3, "{stopped:?}");
+        let resumed = all(&plan(&scenario, &print, &twice, 1));
+        assert_eq!((resumed.kept, &resumed.trials), (stopped.done, &undisturbed.trials));
+        assert_eq!(files(&once), files(&twice));
+
+        // A cut file, one that was changed, one of another scenario: told, and done again.
+        let whole = files(&twice);
+        std::fs::write(file_of(&twice, 3), &whole[0][..whole[0].len() / 2]).unwrap();
+        std::fs::write(file_of(&twice, 4), whole[1].replacen("captures", "Captures", 1)).unwrap();
+        std::fs::write(file_of(&twice, 5), whole[2].replacen(&print[..8], "00000000", 1)).unwrap();
+        let mended = all(&plan(&scenario, &print, &twice, 2));
+        assert_eq!((mended.redone.len(), mended.kept), (3, 0));
+        assert_eq!((files(&twice), mended.trials), (whole, undisturbed.trials));
+    }
+
+    #[test]
+    fn another_scenario_version_or_sensor_has_another_fingerprint() {
+        let home = tempfile::tempdir().unwrap();
+        let (one, two) = (scenario(home.path(), 1.0), scenario(home.path(), 2.0));
+        let laser = Sensors { laser: true, ultrasonic: false };
+        let prints = [(&one, Sensors::BOTH), (&two, Sensors::BOTH), (&one, laser)].map(|(s, w)| fingerprint(s, w));
+        assert!(prints[0] != prints[1] && prints[0] != prints[2]);
+        assert_eq!(prints[0], fingerprint(&one, Sensors::BOTH));
+    }
+
+    #[test]
+    fn no_seeds_and_no_sensors_are_refused() {
+        let home = tempfile::tempdir().unwrap();
+        let scenario = scenario(home.path(), 1.0);
+        let none = Plan { seeds: 0, ..plan(&scenario, "", home.path(), 1) };
+        let fault = run_all(&none, &AtomicBool::new(false), &|_| {}).unwrap_err().to_string();
+        assert_eq!(fault, "--seeds: found 0, expected 1 to 10000");
+        let blind =
+            Plan { sensors: Sensors { laser: false, ultrasonic: false }, ..plan(&scenario, "", home.path(), 1) };
+        let fault = run_all(&blind, &AtomicBool::new(false), &|_| {}).unwrap_err().to_string();
+        assert!(fault.starts_with("seed 3: sensors: found none"), "{fault}");
+    }
+}

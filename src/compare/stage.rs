@@ -52,7 +52,7 @@ pub(super) struct Stage {
     /// All surfaces.
     pub surfaces: Surfaces,
     /// Those of bodies that are higher than the floor, and which body of the scene each of its bodies is.
-    pub obstacles: Surfaces,
+    obstacles: Surfaces,
     obstacle_of: Vec<usize>,
     /// Samples of all obstacles: of those at rest in the world's frame, and of each that moves in its own.
     still: Vec<V3>,
@@ -160,10 +160,10 @@ impl Stage {
         self.still.iter().any(within) || self.moving.iter().any(moved)
     }
 
-    /// Whether a cell of a map, from and to in x and y, is occupied: an obstacle's surface passes through it between the
-    /// clearance and `height_m`.
-    pub fn occupied(&self, from: [f64; 2], to: [f64; 2], height_m: f64) -> bool {
-        self.obstacles.touches([from[0], from[1], self.params.clearance_m], [to[0], to[1], height_m])
+    /// Whether a site moves.
+    pub fn moves(&self, site: &Site) -> bool {
+        let body = site.samples.first().and_then(|sample| sample.body);
+        self.moving.iter().any(|(index, _)| Some(*index) == body)
     }
 }
 
@@ -259,4 +259,64 @@ fn sampled(shape: &Shape, spacing: f64) -> Vec<V3> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stage(bodies: &str, compare: &str) -> Stage {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("s.toml");
+        std::fs::write(&path, format!("name = 's'\n[world]\nground = true\n{bodies}\n[compare]\n{compare}")).unwrap();
+        Stage::new(&Scenario::load(&path, &[]).unwrap()).unwrap()
+    }
+
+    const BIN: &str = "[[world.cylinder]]\nname = 'bin'\nposition = [2.0, 0.0]\nradius = 0.2\nheight = 0.5\n";
+    const SCREEN: &str = "[[world.box]]\nname = 'screen'\nposition = [1.0, 0.0]\nsize = [0.1, 2.0, 1.5]\n";
+
+    #[test]
+    fn what_is_ahead_in_the_open_is_in_play_from_its_nearest_place() {
+        let stage = stage(BIN, "");
+        assert_eq!(stage.sites.len(), 1, "without targets, each body on the floor");
+        let here = Transform::planar(0.0, 0.0, 0.0);
+        let view = stage.view(&stage.sites[0], &here).unwrap();
+        assert!((view.distance_m - 1.8).abs() < 0.01, "{}", view.distance_m);
+        let half = (0.2_f64 / 2.0).asin();
+        assert!((view.span_rad[1] - half).abs() < 0.01 && (view.span_rad[0] + half).abs() < 0.01);
+        // Its far side is not visible, and behind the robot or far away there is nothing.
+        assert!(view.places.iter().all(|at| at.x < 2.06));
+        for (x, yaw) in [(0.0, 2.0), (0.0, -2.0), (-2.5, 0.0), (3.0, 0.0)] {
+            assert!(stage.view(&stage.sites[0], &Transform::planar(x, 0.0, yaw)).is_none(), "{x} {yaw}");
+        }
+    }
+
+    #[test]
+    fn what_stands_behind_something_is_not_in_play() {
+        let stage = stage(&format!("{BIN}{SCREEN}"), "");
+        let bin = stage.sites.iter().find(|site| site.params.name == "bin").unwrap();
+        assert!(stage.view(bin, &Transform::planar(0.0, 0.0, 0.0)).is_none());
+        assert!(stage.view(bin, &Transform::planar(2.0, -2.0, 1.57)).is_some());
+    }
+
+    #[test]
+    fn a_strip_over_a_line_is_a_target_and_what_moves_takes_its_places_along() {
+        let walker = "[[world.mover]]\nname = 'w'\npath = [[2.0, 0.0], [2.0, 3.0]]\nspeed_m_s = 1.0\n\
+            [[world.cylinder]]\nname = 'leg'\nposition = [0.0, 0.0]\nradius = 0.1\nheight = 0.8\nmover = 'w'\n";
+        let compare = "[[compare.target]]\nname = 'a'\nclass = 'corner'\nline = [[1.5, 0.5], [1.5, 0.5]]\nz = [0.0, 1.0]\n\
+            [[compare.target]]\nname = 'b'\nclass = 'person'\nbodies = ['leg']\n";
+        let mut stage = stage(walker, compare);
+        let here = Transform::planar(0.0, 0.0, 0.0);
+        let strip = stage.view(&stage.sites[0], &here).unwrap();
+        assert!((strip.distance_m - 1.5_f64.hypot(0.5)).abs() < 1e-9 && strip.places.len() == 21);
+        assert!((stage.view(&stage.sites[1], &here).unwrap().distance_m - 1.9).abs() < 0.01);
+        stage.set(1.0, &[]).unwrap();
+        let moved = stage.view(&stage.sites[1], &here).unwrap();
+        assert!((moved.distance_m - (2.0_f64.hypot(1.0) - 0.1)).abs() < 0.01, "{}", moved.distance_m);
+        assert!(stage.explains_place(&V3::new(2.0, 0.85, 0.4)) && !stage.explains_place(&V3::new(2.0, 0.0, 0.4)));
+        let axis = V3::new(2.0, 1.0, 0.0).normalize();
+        let from = V3::new(0.0, 0.0, 0.4);
+        assert!(stage.explains_range(&from, &axis, 0.2, 2.136) && !stage.explains_range(&from, &axis, 0.2, 1.5));
+        assert!(!stage.explains_range(&from, &V3::x(), 0.2, 2.136));
+    }
 }

@@ -105,8 +105,8 @@ pub struct MapResult {
     pub iou: Option<Value>,
     pub precision: Option<Value>,
     pub recall: Option<Value>,
-    pub called_free: Option<Value>,
-    pub called_occupied: Option<Value>,
+    pub free_space_error: Option<Value>,
+    pub free_blocked: Option<Value>,
     pub free_found: Option<Value>,
 }
 
@@ -273,8 +273,8 @@ fn map_result(trials: &[Trial], which: usize) -> MapResult {
         iou: over(|score| score.iou),
         precision: over(|score| score.precision),
         recall: over(|score| score.recall),
-        called_free: over(|score| score.called_free),
-        called_occupied: over(|score| score.called_occupied),
+        free_space_error: over(|score| score.free_space_error),
+        free_blocked: over(|score| score.free_blocked),
         free_found: over(|score| score.free_found),
     }
 }
@@ -322,7 +322,7 @@ fn differences(scenario: &Scenario, trials: &[Trial], order: &[String]) -> Vec<D
         move |trial: &Trial, sensor: usize| trial.maps[sensor].as_ref().and_then(pick)
     };
     out.push(paired("map", "IoU", true, trials, &map(|score| score.iou)));
-    out.push(paired("map", "occupied cells called free", false, trials, &map(|score| score.called_free)));
+    out.push(paired("map", "free cells that are not", false, trials, &map(|score| score.free_space_error)));
     let corrected = holm(&out.iter().map(|difference| difference.p).collect::<Vec<_>>());
     for (difference, p_holm) in out.iter_mut().zip(corrected) {
         difference.p_holm = p_holm;

@@ -38,8 +38,8 @@ pub fn csv(found: &Comparison) -> String {
             ("iou", result.iou),
             ("precision", result.precision),
             ("recall", result.recall),
-            ("occupied_called_free", result.called_free),
-            ("free_called_occupied", result.called_occupied),
+            ("free_space_error", result.free_space_error),
+            ("free_blocked", result.free_blocked),
             ("free_found", result.free_found),
         ] {
             value(&mut out, "map", map, measure, found);

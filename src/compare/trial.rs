@@ -6,18 +6,19 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::layers::{MapScore, Picture, Reach, score};
+use super::layers::{MapScore, Picture};
 use super::ledger::{Encounter, LASER, Ledger, Reports, ULTRASONIC};
 use super::matching::{Cone, LaserPoint, Slit};
 use super::stage::{Stage, V3};
 use crate::fault::{Fault, Result};
+use crate::maps::Layers;
 use crate::navigation::Step as MissionStep;
 use crate::pipeline::{Pipeline, Step};
 use crate::sonar::RingParams;
-use crate::sources::{Heard, Scenario, ShotTruth, Simulation};
+use crate::sources::{Heard, PlanTruth, Scenario, ShotTruth, Simulation};
 
-/// The surroundings are looked at for the truth of the maps this often [s].
-const REACH_EVERY_S: f64 = 1.0;
+/// Places of the robot's way are this far apart [m].
+const WAY_STEP_M: f64 = 0.25;
 /// A reading of the ring takes so many bytes: range, number, time.
 const READING_BYTES: u64 = 13;
 /// A column of an extracted line takes so many bytes: row, σ, level.
@@ -133,7 +134,7 @@ pub fn run(
         }
     }
     simulation.take_heard().iter().try_for_each(|heard| book.hear(heard))?;
-    let mut trial = book.close(seed, with_pictures);
+    let mut trial = book.close(&scenario, with_pictures)?;
     (trial.sim_s, trial.collisions) = (simulation.now().as_secs(), simulation.collisions());
     Ok(Some(trial))
 }
@@ -142,8 +143,7 @@ pub fn run(
 struct Book {
     sensors: Sensors,
     ledger: Ledger,
-    reach: Reach,
-    reached_s: f64,
+    way_m: Vec<[f64; 2]>,
     pipeline: Pipeline,
     captures: u64,
     pings: u64,
@@ -155,25 +155,10 @@ struct Book {
 
 impl Book {
     fn new(scenario: &Scenario, sensors: Sensors) -> Result<Self> {
-        let stage = Stage::new(scenario)?;
-        let grid = &scenario.pipeline.maps.grid;
-        let [x, y] = scenario.robot.start_xy();
-        let goals = scenario.mission.steps.iter().filter_map(|step| match step {
-            MissionStep::GoTo { to_m, .. } => Some(*to_m),
-            _ => None,
-        });
-        let range = stage.params.range_m + 2.0;
-        let (mut low, mut high) = ([x, y], [x, y]);
-        for at in goals {
-            (low, high) = ([low[0].min(at[0]), low[1].min(at[1])], [high[0].max(at[0]), high[1].max(at[1])]);
-        }
-        let reach =
-            Reach::new(grid.voxel_m, low.map(|v| v - range), high.map(|v| v + range), scenario.robot.body().height_m);
         Ok(Self {
             sensors,
-            ledger: Ledger::new(stage),
-            reach,
-            reached_s: f64::NEG_INFINITY,
+            ledger: Ledger::new(Stage::new(scenario)?),
+            way_m: Vec::new(),
             pipeline: Pipeline::new(scenario.rig.clone(), scenario.pipeline.clone())?,
             captures: 0,
             pings: 0,
@@ -190,9 +175,8 @@ impl Book {
         self.foot = Some(foot);
         self.moved.clone_from(&truth.moved);
         self.ledger.look(stamp, &truth.world_from_robot, &self.moved)?;
-        if stamp.as_secs() - self.reached_s >= REACH_EVERY_S {
-            self.reached_s = stamp.as_secs();
-            self.reach.look(&self.ledger.stage, &truth.world_from_robot);
+        if self.way_m.last().is_none_or(|last| (foot.x - last[0]).hypot(foot.y - last[1]) >= WAY_STEP_M) {
+            self.way_m.push([foot.x, foot.y]);
         }
         Ok(())
     }
@@ -222,21 +206,23 @@ impl Book {
         Ok(())
     }
 
-    fn close(mut self, seed: u64, with_pictures: bool) -> Trial {
+    fn close(mut self, scenario: &Scenario, with_pictures: bool) -> Result<Trial> {
         self.ledger.finish();
-        let truth = self.reach.truth(&self.ledger.stage);
         let maps = self.pipeline.maps();
-        let views = match maps.layers() {
-            Some(layers) => [Some(layers.laser), Some(layers.ultrasonic), Some(layers.fused)],
-            None => [Some(maps.plan_view()), None, None],
-        };
+        let layers = maps.layers().unwrap_or_else(|| {
+            let laser = maps.plan_view();
+            Layers { fused: laser.clone(), ultrasonic: laser.clone(), laser }
+        });
+        let (stage, plan) = (&self.ledger.stage, &scenario.pipeline.maps.plan);
+        let truth = PlanTruth::new(&layers.fused, &scenario.scene, &stage.surfaces, plan, &self.way_m)?;
+        let verdicts = truth.judge(&layers);
         let used = [self.sensors.laser, self.sensors.ultrasonic, self.sensors == Sensors::BOTH];
-        let mut views = views.into_iter().zip(used).map(|(view, used)| view.filter(|_| used));
-        let views: [Option<_>; 3] = std::array::from_fn(|_| views.next().flatten());
-        let pictures =
-            with_pictures.then(|| std::iter::once(&truth).chain(views.iter().flatten()).map(Picture::of).collect());
-        Trial {
-            seed,
+        let scores = [verdicts.laser, verdicts.ultrasonic, verdicts.fused];
+        let views = [&truth.view, &layers.laser, &layers.ultrasonic, &layers.fused].into_iter();
+        let shown = views.zip([true, used[0], used[1], used[2]]).filter(|view| view.1);
+        let pictures = with_pictures.then(|| shown.map(|(view, _)| Picture::of(view)).collect());
+        Ok(Trial {
+            seed: scenario.seed,
             sim_s: 0.0,
             travel_m: self.travel_m,
             collisions: 0,
@@ -246,9 +232,9 @@ impl Book {
             targets: self.ledger.stage.sites.len() as u64,
             classes: self.ledger.classes,
             reports: self.ledger.reports,
-            maps: views.map(|view| view.map(|view| score(&view, &truth))),
+            maps: std::array::from_fn(|which| used[which].then(|| scores[which].into())),
             pictures,
-        }
+        })
     }
 }
 

@@ -65,7 +65,7 @@ fn other(difference: &Difference) -> Option<String> {
             (format!("{:.1} points of per cent", value.abs() * 1e2), "share of false obstacles")
         }
         "IoU" => (format!("{:.2}", value.abs()), "map, intersection over union with the truth"),
-        _ => (format!("{:.1} points of per cent", value.abs() * 1e2), "map, occupied cells called free"),
+        _ => (format!("{:.1} points of per cent", value.abs() * 1e2), "map, free cells that are not"),
     };
     let (first, second) = if value > 0.0 { ("laser", "ultrasonic ring") } else { ("ultrasonic ring", "laser") };
     Some(match difference.winner {

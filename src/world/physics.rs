@@ -535,6 +535,24 @@ mod tests {
     }
 
     #[test]
+    fn what_moves_by_script_is_where_it_should_be_and_nothing_stops_it() {
+        let floor = body("floor", Shape::Plane, [0.0; 3], Motion::Static);
+        let walker = body("walker", Shape::Cylinder { radius: 0.1, length: 1.0 }, [2.0, 0.0, 0.55], Motion::Scripted);
+        let crate_ =
+            body("crate", Shape::Box { size: [0.2; 3].into() }, [2.0, 0.5, 0.1], Motion::Dynamic { mass_kg: 5.0 });
+        let track = crate::world::Track::steady(&[[0.0; 3], [0.0, 2.0, 0.0]], 1.0, 0.0, false).unwrap();
+        let movers = vec![Mover { name: "m".into(), bodies: vec![1], track }];
+        let scene = Scene { bodies: vec![floor, walker, crate_], movers, ..Scene::default() };
+        let mut physics = Physics::new(&scene, &RobotBody::default(), [0.0; 2], 0.0, Physics::DT_S).unwrap();
+        for _ in 0..240 {
+            physics.step(Rolling::default()).unwrap();
+        }
+        let at = |index| physics.body_pose(index).unwrap().translation.vector;
+        assert!((at(1) - Vector3::new(2.0, 1.0, 0.55)).norm() < 1e-4, "{}", at(1));
+        assert!(at(2).y > 1.0, "pushed along: {}", at(2));
+    }
+
+    #[test]
     fn two_metres_straight_end_within_two_centimetres() {
         let mut physics = physics(&scene(vec![]));
         drive(&mut physics, 0.4, 0.0, 5.25); // 0.1 m while it speeds up, 1.9 m at speed

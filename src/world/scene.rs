@@ -187,6 +187,38 @@ mod tests {
     }
 
     #[test]
+    fn bodies_ride_on_their_mover() {
+        let text = "[[world.mover]]\nname = 'w'\npath = [[1, 2], [1, 5]]\nspeed_m_s = 1.5\nloop = true\n\
+             [[world.box]]\nname = 'rider'\nposition = [0.5, 0]\nsize = [0.2, 0.2, 0.2]\nmover = 'w'\n\
+             [[world.sunlit]]\nfrom = [0, 0]\nto = [1, 2]\n";
+        let found = scene(text);
+        assert_eq!(found.movers.len(), 1);
+        assert_eq!((found.movers[0].bodies.as_slice(), found.bodies[0].motion), ([0].as_slice(), Motion::Scripted));
+        // Its path heads along y: what is ahead of the mover is there, too.
+        close(found.bodies[0].pose.translation.vector, [1.0, 2.5, 0.1]);
+        let later = found.movers[0].moved(1.0) * found.bodies[0].pose;
+        close(later.translation.vector, [1.0, 4.0, 0.1]);
+        assert!(
+            found.sunlit[0].holds(&Vector3::new(0.5, 1.0, 9.0)) && !found.sunlit[0].holds(&Vector3::new(1.5, 1.0, 0.0))
+        );
+        assert_eq!(found.sunlit[0].w_per_m2, 14.0);
+        for (from, to, expected) in [
+            ("mover = 'w'", "mover = 'v'", "test.toml:10: world.box `rider`: mover: found `v`, expected one of `w`"),
+            ("mover = 'w'", "mover = 'w'\nmass_kg = 1", "mass_kg"),
+            ("mover = 'w'\n", "", "test.toml:2: world.mover `w`: found no body"),
+            ("speed_m_s = 1.5", "speed_m_s = 0", "test.toml:3: world.mover `w`: speed_m_s: found 0"),
+            ("speed_m_s = 1.5", "", "one of the two"),
+            ("[1, 5]", "[1]", "path: found 1 numbers"),
+            ("[1, 5]", "[1, nan]", "path: found NaN"),
+            ("to = [1, 2]", "to = [-1, 2]", "world.sunlit: to"),
+            ("from = [0, 0]", "from = [0]", "world.sunlit: from: found 1 numbers"),
+        ] {
+            let fault = refused(&text.replacen(from, to, 1));
+            assert!(fault.contains(expected), "{fault}");
+        }
+    }
+
+    #[test]
     fn a_table_is_a_top_that_overhangs_four_legs() {
         let scene = scene(
             "[[world.table]]\nname = 't'\nposition = [1, 1]\nyaw_deg = 90\nsize = [0.9, 0.5, 0.42]\nleg_inset = 0.1\n\

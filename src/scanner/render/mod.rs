@@ -362,6 +362,48 @@ mod tests {
         renderer.expose(&surfaces, &Transform::identity(), 0.0, beam_rad, 1, frame).unwrap()
     }
 
+    #[test]
+    fn light_passes_glass_and_stops_at_a_screen() {
+        let wall = || Body { ground: false, ..block([0.1, 3.0, 2.0], [2.5, 0.0, 1.0]) };
+        let pane = |transmission: f64| Body {
+            material: Material { albedo: 0.0, transmission, ..Material::default() },
+            ..block([0.01, 2.0, 2.0], [1.8, 0.0, 1.0])
+        };
+        let on_wall = |transmission| {
+            let truth = seen(vec![floor(), pane(transmission), wall()], beam_at_p() - 0.05);
+            truth.iter().filter(|sight| sight.body == 2).count()
+        };
+        let open = seen(vec![floor(), wall()], beam_at_p() - 0.05).iter().filter(|sight| sight.body == 1).count();
+        assert!(open > 100, "{open}");
+        assert_eq!((on_wall(0.9), on_wall(0.0)), (open, 0));
+    }
+
+    #[test]
+    fn direct_sun_brightens_what_it_falls_on_and_nothing_else() {
+        use crate::world::Sunlit;
+        let lit = |from_m: [f64; 2]| {
+            let sun = Sunlit { from_m, to_m: [9.0, 9.0], w_per_m2: 14.0 };
+            let scene = Scene { sunlit: vec![sun], ..scene(vec![floor()]) };
+            let image = shoot(&Rig::metro_i(), calm(), &scene, beam_at_p(), 0).image;
+            let mean = |u: std::ops::Range<usize>| {
+                let rows = (0..image.height()).step_by(8);
+                let levels: Vec<f64> = rows
+                    .flat_map(|v| u.clone().map(move |u| (u, v)))
+                    .map(|(u, v)| f64::from(image.row(v)[u]))
+                    .collect();
+                levels.iter().sum::<f64>() / levels.len() as f64
+            };
+            [mean(20..200), mean(312..492)]
+        };
+        let ([dark, _], [left, right]) = (lit([8.0, 8.0]), lit([0.0, 0.0]));
+        // The left half of the image is the robot's left, y > 0.
+        assert!(left > dark + 5.0 && (right - dark).abs() < 2.0, "{dark} {left} {right}");
+        // ρE/(4N²)·pitch²·t·η·τ·λ/hc of the whole well, at ρ = 0.5 in the middle; the corners get half.
+        let params = calm();
+        let expected = electrons_of(&Rig::metro_i(), &params, 14.0, 0.5) * 127.0 / params.well_electrons;
+        assert!((0.4..1.0).contains(&((left - dark) / expected)), "{} {expected}", left - dark);
+    }
+
     /// Without speckle.
     fn calm() -> ImageParams {
         ImageParams { speckle_contrast: 0.0, ..ImageParams::default() }
