@@ -9,9 +9,9 @@ use metromap::maps::State;
 use metromap::optics::Rig;
 use metromap::pipeline::{Pipeline, PipelineParams};
 use metromap::ranges::RangeReading;
-use metromap::record::bag::Writer;
+use metromap::record::bag::{Item, Reader, Writer};
 use metromap::record::messages::{
-    Header, Message, Odometry, Pose, PoseWithCovariance, Range, TfMessage, TransformStamped,
+    Header, Message, OccupancyGrid, Odometry, Pose, PoseWithCovariance, Range, TfMessage, TransformStamped,
 };
 use metromap::record::{cdr, topics};
 use metromap::sources::replay::{Input, Replay};
@@ -141,6 +141,26 @@ fn both_sensors_come_back_out_of_the_recording() {
             assert!((0.0..=1.0).contains(&value), "{layer} {key}: {value}");
         }
     }
+    let mut types = std::collections::BTreeMap::new();
+    let mut edges = 0;
+    for item in Reader::open(&Path::new(&with).join("recording.mcap")).unwrap() {
+        let Item::Message(message) = item.unwrap() else { continue };
+        let kind = message.channel.schema.as_ref().unwrap().name.clone();
+        if message.channel.topic == topics::TF_STATIC {
+            edges = cdr::decode::<TfMessage>(&message.data).unwrap().transforms.len();
+        } else if kind == Range::TYPE {
+            let range: Range = cdr::decode(&message.data).unwrap();
+            assert_eq!(message.channel.topic, format!("/{}/range", range.header.frame_id));
+            assert_eq!(range.radiation_type, 0);
+            let limits = range.min_range..=range.max_range;
+            assert!(limits.contains(&range.range) || range.range == f32::INFINITY, "{range:?}");
+        }
+        *types.entry((message.channel.topic.clone(), kind)).or_insert(0) += 1;
+    }
+    assert_eq!(edges, 25, "the camera and every transducer");
+    let of = |topic: &str, kind: &str| types.get(&(topic.to_string(), kind.to_string())).copied().unwrap_or(0);
+    assert!(of("/sonar_00/range", Range::TYPE) >= 3 && of("/sonar_23/range", Range::TYPE) >= 3, "{types:?}");
+    assert!(of(topics::MAP_ULTRASONIC, OccupancyGrid::TYPE) > 1 && of(topics::MAP_FUSED, OccupancyGrid::TYPE) > 1);
     // The three maps lie on the same cells, and the replay writes the same bytes.
     let read = |folder: &str, name: &str| std::fs::read(Path::new(folder).join(name)).unwrap();
     let yaml = |name: &str| {

@@ -22,6 +22,30 @@ pub struct Layers {
     pub fused: PlanView,
 }
 
+impl Layers {
+    /// Checks what must always hold.
+    pub(super) fn check(&self) -> Result<(), String> {
+        let Self { laser, ultrasonic, fused } = self;
+        let place = |view: &PlanView| (view.origin_m, view.width, view.height, view.cells.len());
+        if place(laser) != place(fused) || place(ultrasonic) != place(fused) {
+            return Err(format!("layers at {:?}, {:?}, {:?}", place(laser), place(ultrasonic), place(fused)));
+        }
+        let cells = laser.cells.iter().zip(&ultrasonic.cells).zip(&fused.cells);
+        for (at, ((laser, sound), both)) in cells.enumerate() {
+            let right = match (*laser, *sound) {
+                (100, _) => *both == 100,
+                (0, 100) => *both != -1,
+                (-1, other) | (other, -1) => *both == other,
+                (said, _) => *both == said,
+            };
+            if !right {
+                return Err(format!("cell {at}: laser {laser}, ultrasonic {sound}, fused {both}"));
+            }
+        }
+        Ok(())
+    }
+}
+
 /// The views over columns that hold all of the layer; `None` where nothing is known.
 pub(super) fn layers(columns: &Columns, ultrasonic: &Ultrasonic, cell_m: f64) -> Option<Layers> {
     let Columns { window, log_odds } = columns;

@@ -335,6 +335,7 @@ impl Maps {
         self.grid.check()?;
         self.terrain.check()?;
         self.ultrasonic.check()?;
+        self.layers().map_or(Ok(()), |layers| layers.check())?;
         self.surface().check(self.ground()).map(|_| ())
     }
 }

@@ -57,8 +57,9 @@ impl Window {
     }
 }
 
-/// What is known of columns: log-odds in thousandths, `UNSEEN` where nothing is. A column is as likely occupied as the
-/// likeliest of its voxels; where only its ground was seen, as after one line of sight.
+/// What is known of columns: log-odds in thousandths, `UNSEEN` where nothing is. A column with an occupied voxel is as likely
+/// occupied as the likeliest of them; one without as likely free as the likeliest of its voxels; where only its ground was
+/// seen, as after one line of sight.
 pub(super) struct Columns {
     pub window: Window,
     pub log_odds: Vec<i16>,
@@ -191,7 +192,11 @@ fn look_at(block: &Block, voxel_m: f64, window: &Window, params: &PlanParams, he
             continue;
         }
         let seen = block.log_odds(x, y)[low..high].iter();
-        log_odds[at] = seen.fold(log_odds[at], |most, voxel| most.max(*voxel));
+        log_odds[at] = seen.fold(log_odds[at], |surest, voxel| match (surest, *voxel) {
+            (UNSEEN, other) | (other, UNSEEN) => other,
+            (a, b) if a <= 0 && b <= 0 => a.min(b),
+            (a, b) => a.max(b),
+        });
     }
 }
 

@@ -7,6 +7,8 @@ use crate::geometry::{Camera, Frame, Transform};
 use crate::image::{Capture, Drop, Dropped, Line, Peak, Reading};
 use crate::time::Stamp;
 
+pub use super::bytes::Bytes;
+
 macro_rules! messages {
     ($($(#[$doc:meta])* $name:ident as $ros:literal { $($(#[$note:meta])* $field:ident: $type:ty,)* })*) => {$(
         $(#[$doc])*
@@ -330,35 +332,6 @@ messages! {
         drop_reason: Vec<String>,
         /// How many of each.
         drop_count: Vec<u64>,
-    }
-}
-
-/// `uint8[]` or `int8[]`, written and read in one piece.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Bytes(pub Vec<u8>);
-
-impl Serialize for Bytes {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_bytes(&self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Bytes {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl serde::de::Visitor<'_> for Visitor {
-            type Value = Bytes;
-            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-                f.write_str("bytes")
-            }
-            fn visit_bytes<E>(self, bytes: &[u8]) -> Result<Bytes, E> {
-                Ok(Bytes(bytes.to_vec()))
-            }
-            fn visit_byte_buf<E>(self, bytes: Vec<u8>) -> Result<Bytes, E> {
-                Ok(Bytes(bytes))
-            }
-        }
-        deserializer.deserialize_byte_buf(Visitor)
     }
 }
 

@@ -7,6 +7,7 @@
 
 pub mod bag;
 pub mod build;
+mod bytes;
 pub mod cdr;
 mod frames;
 pub mod messages;

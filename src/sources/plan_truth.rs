@@ -49,8 +49,8 @@ pub struct LayerVerdicts {
 /// What is true of the cells of a view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanTruth {
-    /// Occupied: a surface passes through the cell between the heights that a robot can hit. Free: none does, and the robot
-    /// could get there from its way. Unknown: inside bodies and behind walls.
+    /// Free: the robot can roll there from its way. Occupied: from there it hits a surface between the heights of its body, or
+    /// a step of the ground higher than it clears. Unknown: inside bodies, on steps, behind walls.
     pub view: PlanView,
     /// Whether a straight line leads to each cell from the robot's way, past occupied ones, no longer than 5 m.
     in_sight: Vec<bool>,
@@ -70,22 +70,8 @@ impl PlanTruth {
     ) -> Result<Self> {
         let ground = scene.bodies.iter().filter(|body| body.ground).cloned().collect();
         let ground = Surfaces::new(&Scene { bodies: ground, ..scene.clone() })?;
-        let down = -nalgebra::Vector3::z();
-        let mut view = PlanView { cells: vec![UNKNOWN; like.cells.len()], ..like.clone() };
-        for at in 0..view.cells.len() {
-            let low = corner(like, at);
-            let middle = low.map(|c| c + like.resolution_m / 2.0);
-            let hit = ground.cast(Point::new(middle[0], middle[1], SKY_M), &down, 2.0 * SKY_M);
-            let floor_m = hit.map_or(0.0, |hit| SKY_M - hit.range_m);
-            let [x, y] = low.map(|c| c - EDGE_M);
-            let side = like.resolution_m;
-            let (min, max) = ([x, y, floor_m + plan.clearance_m], [x + side, y + side, floor_m + plan.height_m]);
-            if surfaces.touches(min, max) {
-                view.cells[at] = OCCUPIED;
-            }
-        }
-        let starts: Vec<usize> = way_m.iter().filter_map(|at| index(like, *at)).collect();
-        flood(&mut view, &starts);
+        let blank = PlanView { cells: vec![UNKNOWN; like.cells.len()], ..like.clone() };
+        let view = Flood { view: blank, surfaces, ground, plan }.from(way_m);
         let in_sight = seen_from(&view, way_m);
         Ok(Self { view, in_sight })
     }
@@ -178,22 +164,59 @@ fn near(view: &PlanView, at: usize) -> bool {
     })
 }
 
-/// Frees every cell that is joined to a start by cells that are not occupied.
-fn flood(view: &mut PlanView, starts: &[usize]) {
-    let mut open: Vec<usize> = starts.iter().copied().filter(|at| view.cells[*at] != OCCUPIED).collect();
-    while let Some(at) = open.pop() {
-        if std::mem::replace(&mut view.cells[at], FREE) == FREE {
-            continue;
+/// Follows the ground from where the robot was, as far as it can roll.
+struct Flood<'a> {
+    view: PlanView,
+    surfaces: &'a Surfaces,
+    /// The ground alone.
+    ground: Surfaces,
+    plan: &'a PlanParams,
+}
+
+impl Flood<'_> {
+    fn from(mut self, way_m: &[[f64; 2]]) -> PlanView {
+        let starts = way_m.iter().filter_map(|at| index(&self.view, *at));
+        let mut open: Vec<(usize, f64)> = starts.map(|at| (at, self.floor_m(at))).collect();
+        while let Some((at, from_m)) = open.pop() {
+            if self.view.cells[at] != UNKNOWN {
+                continue;
+            }
+            let floor_m = self.floor_m(at);
+            let climbs = (floor_m - from_m).abs() <= self.plan.clearance_m;
+            // A step up is hit; where the ground falls away nothing is.
+            if !climbs && floor_m < from_m {
+                continue;
+            }
+            if !climbs || self.is_hit(at, floor_m) {
+                self.view.cells[at] = OCCUPIED;
+                continue;
+            }
+            self.view.cells[at] = FREE;
+            let (width, height) = (self.view.width, self.view.height);
+            let (x, y) = (at % width, at / width);
+            let beside = [
+                (x > 0).then(|| at - 1),
+                (x + 1 < width).then_some(at + 1),
+                (y > 0).then(|| at - width),
+                (y + 1 < height).then_some(at + width),
+            ];
+            open.extend(beside.into_iter().flatten().map(|next| (next, floor_m)));
         }
-        let (x, y) = (at % view.width, at / view.width);
-        open.extend((x > 0).then(|| at - 1));
-        open.extend((x + 1 < view.width).then(|| at + 1));
-        open.extend((y > 0).then(|| at - view.width));
-        open.extend((y + 1 < view.height).then(|| at + view.width));
-        // Back to those that are to be looked at.
-        while open.last().is_some_and(|next| view.cells[*next] != UNKNOWN) {
-            open.pop();
-        }
+        self.view
+    }
+
+    /// The height of the ground in the middle of a cell; 0 where there is none.
+    fn floor_m(&self, at: usize) -> f64 {
+        let [x, y] = corner(&self.view, at).map(|c| c + self.view.resolution_m / 2.0);
+        let hit = self.ground.cast(Point::new(x, y, SKY_M), &-nalgebra::Vector3::z(), 2.0 * SKY_M);
+        hit.map_or(0.0, |hit| SKY_M - hit.range_m)
+    }
+
+    fn is_hit(&self, at: usize, floor_m: f64) -> bool {
+        let [x, y] = corner(&self.view, at).map(|c| c - EDGE_M);
+        let side = self.view.resolution_m;
+        let heights = [self.plan.clearance_m, self.plan.height_m].map(|height_m| floor_m + height_m);
+        self.surfaces.touches([x, y, heights[0]], [x + side, y + side, heights[1]])
     }
 }
 
@@ -248,6 +271,7 @@ mod tests {
             body("north", [2.0, 0.1, 1.0], [0.0, 0.55, 0.5]),
             body("south", [2.0, 0.1, 1.0], [0.0, -0.55, 0.5]),
             body("block", [0.4, 0.4, 2.0], [0.5, 0.0, 1.0]),
+            Body { ground: true, ..body("step", [0.5, 0.1, 0.1], [-0.75, 0.45, 0.05]) },
             body("lamp", [0.2, 0.2, 0.2], [-0.5, 0.0, 1.4]),
         ];
         Scene { bodies, ..Scene::default() }
@@ -279,8 +303,10 @@ mod tests {
             "also behind the block"
         );
         assert_eq!([cell(view, 0.5, 0.0), cell(view, 1.18, 0.0), cell(view, 0.0, 0.68)], [UNKNOWN; 3]);
+        assert_eq!([cell(view, -0.8, 0.38), cell(view, -0.8, 0.42)], [FREE, OCCUPIED], "not up the step");
+        assert_eq!(cell(view, -0.8, 0.47), UNKNOWN, "on the step");
         let seen = |x: f64, y: f64| truth.in_sight[index(view, [x, y]).unwrap()];
-        assert!(seen(0.31, 0.01) && seen(-1.02, 0.0) && !seen(0.9, 0.0) && !seen(0.69, 0.01));
+        assert!(seen(0.31, 0.01) && seen(-0.98, 0.0) && !seen(0.9, 0.0) && !seen(0.69, 0.01));
     }
 
     #[test]

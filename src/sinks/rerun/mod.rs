@@ -400,6 +400,87 @@ mod tests {
         assert_eq!(views.count(), 9, "{rows:?}");
     }
 
+    /// A frame with ranges alone: one by a straight echo, one by a ghost, one silent, one without truth.
+    fn ranges(at_ms: i64) -> Frame {
+        use crate::ranges::{RangeReading, transducer_frame};
+        use crate::sonar::{Aim, Echo, EchoKind, Ping, Reading};
+        let ranged = |number: usize, range_m: Option<f32>, surfaces: Option<u8>| {
+            let stamp = Stamp(at_ms * 1_000_000 + number as i64);
+            let reading = RangeReading {
+                stamp,
+                frame: transducer_frame(number),
+                robot_from_transducer: Transform::identity(),
+                field_of_view_rad: 0.5,
+                range_m_min: 0.4,
+                range_m_max: 10.0,
+                range_m,
+                odom_from_robot: Transform::identity(),
+            };
+            let aim = Aim { at: crate::geometry::Point::new(0.0, 0.0, 0.4), axis: Vector3::x() };
+            let echo = |surfaces| Echo {
+                range_m: 2.0,
+                way_m: 4.0,
+                level_db: -10.0,
+                margin_db: 20.0,
+                kind: EchoKind::Wall,
+                body: 0,
+                place: crate::geometry::Point::new(2.0, 0.1, 0.4),
+                surfaces,
+                source: number,
+                late: false,
+            };
+            let ping = surfaces.map(|surfaces| Ping {
+                reading: Reading { stamp, transducer: number, ranges_m: vec![2.0] },
+                echoes: vec![echo(surfaces)],
+                causes: vec![0],
+                aim,
+            });
+            let step = crate::pipeline::RangeStep {
+                reading,
+                world_from_robot: Transform::identity(),
+                world_from_transducer: Transform::identity(),
+                dropped: Dropped::default(),
+            };
+            crate::sinks::Ranged { step, ping }
+        };
+        let ranges = vec![
+            ranged(0, Some(2.0), Some(1)),
+            ranged(1, Some(2.0), Some(3)),
+            ranged(2, None, None),
+            ranged(3, Some(1.0), None),
+        ];
+        let plan = PlanView { resolution_m: 0.1, origin_m: [0.0; 2], width: 2, height: 1, cells: vec![0, 100] };
+        let layers = crate::maps::Layers { laser: plan.clone(), ultrasonic: plan.clone(), fused: plan };
+        let maps = MapChanges { layers: Some(layers), ..MapChanges::default() };
+        let (log, dropped) = (vec![], Dropped::default());
+        Frame { ranges, step: None, image: None, truth: None, maps: Some(Arc::new(maps)), log, dropped }
+    }
+
+    #[test]
+    fn both_sensors_stand_side_by_side() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("view.rrd");
+        let start = start();
+        let mut sink = RerunSink::new(&[Target::Save(file.clone())]).unwrap();
+        sink.begin(&start).unwrap();
+        sink.step(&frame(&start, 0)).unwrap();
+        sink.step(&ranges(150)).unwrap();
+        sink.step(&frame(&start, 2)).unwrap();
+        sink.finish(Stamp(0)).unwrap();
+        let (rows, _, _) = read(&file);
+        for number in 0..4 {
+            assert_eq!(rows.get(&format!("/world/sonar/sonar_0{number}")), Some(&1), "{rows:?}");
+        }
+        for (entity, count) in
+            [("/world/echoes", 3), ("/plan_ultrasonic", 1), ("/plan_fused", 1), ("/world/profile", 2)]
+        {
+            assert_eq!(rows.get(entity), Some(&count), "{entity} in {rows:?}");
+        }
+        // Two scenes, three plans, camera, voxels, terrain, two plots, log and page; and of the first layout the plan view.
+        let views = rows.keys().filter(|key| key.starts_with("layout:/view/") && key.ends_with("/ViewContents"));
+        assert_eq!(views.count(), 12, "{rows:?}");
+    }
+
     #[test]
     fn the_same_run_is_the_same_recording_and_another_seed_is_another() {
         let folder = tempfile::tempdir().unwrap();
