@@ -116,11 +116,14 @@ impl Cone {
     pub fn sees(&self, places: &[V3], line: &[Vec<f64>], terms: &Terms) -> Option<Seen> {
         let hit = |at: &V3| in_cone(at, &self.from, &self.axis, self.half_rad, self.range_m, terms.tolerance_m);
         match terms.kind {
-            Kind::Obstacle | Kind::Drop => {
-                let seen = places.iter().any(hit).then(|| Seen {
-                    error: self.truth.map(|truth| errors(&(self.axis * self.range_m), &(truth - self.from))),
-                });
-                seen.map(|seen| if terms.kind == Kind::Obstacle { seen } else { Seen::default() })
+            Kind::Obstacle => places.iter().any(hit).then(|| Seen {
+                error: self.truth.map(|truth| errors(&(self.axis * self.range_m), &(truth - self.from))),
+            }),
+            Kind::Drop => {
+                // No range says that there is nothing; but one of the hole's near edge would stop a robot.
+                let near = places.iter().map(|at| (at - self.from).norm()).min_by(f64::total_cmp)?;
+                let at_edge = |at: &V3| (at - self.from).norm() <= near + terms.tolerance_m;
+                places.iter().any(|at| at_edge(at) && hit(at)).then(Seen::default)
             }
             Kind::Opening => {
                 let end = self.from + self.axis * self.range_m;

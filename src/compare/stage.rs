@@ -213,6 +213,9 @@ fn site(scene: &Scene, params: &TargetParams) -> Site {
         if let ([from, to], [low, high]) = (params.line.as_slice(), params.z.as_slice()) {
             let point = |end: &[f64], z: f64| V3::new(end[0], end[1], z);
             let (from, to) = (point(from, *low), point(to, *low));
+            if params.kind == Kind::Drop {
+                return hole(&from, &to, spacing);
+            }
             let steps = |length: f64| (length / spacing).ceil() as usize;
             let (along, up) = (steps((to - from).norm()), steps(high - low));
             let share = |i: usize, of: usize| if of == 0 { 0.0 } else { i as f64 / of as f64 };
@@ -236,6 +239,18 @@ fn site(scene: &Scene, params: &TargetParams) -> Site {
         samples = sample(spacing);
     }
     Site { params: params.clone(), samples }
+}
+
+/// Places all over a hole, at the height of the floor.
+fn hole(from: &V3, to: &V3, spacing: f64) -> Vec<Sample> {
+    let across = to - from;
+    let steps = [across.x, across.y].map(|side| (side.abs() / spacing).ceil().clamp(1.0, 1000.0) as usize);
+    let place = move |i: usize, j: usize| {
+        let share = |k: usize, of: usize| k as f64 / of as f64;
+        from + V3::new(across.x * share(i, steps[0]), across.y * share(j, steps[1]), 0.0)
+    };
+    let cells = (0..=steps[0]).flat_map(|i| (0..=steps[1]).map(move |j| (i, j)));
+    cells.map(|(i, j)| Sample { body: None, at: place(i, j) }).collect()
 }
 
 /// Places all over a surface, about this far apart.

@@ -53,7 +53,7 @@ pub struct Comparison {
 /// What one sensor made of one class; `None`, null in JSON: not measured, since there was nothing to measure.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ClassResult {
-    /// Opportunities: an encounter with an obstacle, while it was in one bin of distance.
+    /// Opportunities: an encounter with an obstacle, while it was in one bin of distance within the nominal range.
     pub opportunities: u64,
     /// Opportunities in which it was seen at least once.
     pub detected: u64,
@@ -212,6 +212,13 @@ fn opportunities(encounter: &Encounter, sensor: usize, bin_s_min: f64) -> impl I
     encounter.bins.iter().filter(move |bin| *bin.1 >= bin_s_min).map(move |(bin, _)| (*bin, seen.contains_key(bin)))
 }
 
+/// The same where both sensors are expected to see.
+fn nominal<'a>(encounter: &'a Encounter, sensor: usize, terms: &CompareParams) -> impl Iterator<Item = bool> + 'a {
+    let nominal_m = terms.nominal_m + 1e-9;
+    let within = move |bin: u32| f64::from(bin + 1) * BIN_M <= nominal_m;
+    opportunities(encounter, sensor, terms.bin_s_min).filter(move |o| within(o.0)).map(|o| o.1)
+}
+
 fn counted(opportunities: impl Iterator<Item = bool>) -> (u64, u64) {
     opportunities.fold((0, 0), |(hits, of), hit| (hits + u64::from(hit), of + 1))
 }
@@ -222,7 +229,8 @@ fn class_result(scenario: &Scenario, trials: &[Trial], class: &str, sensor: usiz
         encounters(trial, class).iter().flat_map(|e| opportunities(e, sensor, bin_s_min)).collect()
     };
     let rated = |pick: &dyn Fn(&Trial) -> (u64, u64)| rate(&trials.iter().map(pick).collect::<Vec<_>>());
-    let overall = rated(&|trial| counted(all(trial).into_iter().map(|o| o.1)));
+    let overall =
+        rated(&|trial| counted(encounters(trial, class).iter().flat_map(|e| nominal(e, sensor, &scenario.compare))));
     let bins = trials.iter().flat_map(|trial| all(trial).into_iter().map(|o| o.0)).max().map_or(0, |bin| bin + 1);
     let by_distance = (0..bins).filter_map(|bin| {
         let here = |trial: &Trial| counted(all(trial).into_iter().filter(|o| o.0 == bin).map(|o| o.1));
@@ -297,8 +305,7 @@ fn differences(scenario: &Scenario, trials: &[Trial], order: &[String]) -> Vec<D
         .map(|class| {
             let share = |trial: &Trial, sensor: usize| {
                 let met = encounters(trial, class).iter();
-                let (hits, of) =
-                    counted(met.flat_map(|e| opportunities(e, sensor, scenario.compare.bin_s_min)).map(|o| o.1));
+                let (hits, of) = counted(met.flat_map(|e| nominal(e, sensor, &scenario.compare)));
                 (of > 0).then(|| hits as f64 / of as f64)
             };
             paired(class, "detection rate", true, trials, &share)

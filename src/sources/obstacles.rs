@@ -37,7 +37,7 @@ pub struct TargetParams {
     /// Names of the bodies it is made of.
     #[serde(default)]
     pub bodies: Vec<String>,
-    /// Or the ends of its line on the ground, x and y [m].
+    /// Or the ends of its line on the ground, x and y [m]; of a drop, two opposite corners of the hole.
     #[serde(default)]
     pub line: Vec<Vec<f64>>,
     /// Heights of the strip over that line, lowest and highest [m].
@@ -49,8 +49,10 @@ pub struct TargetParams {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CompareParams {
-    /// What is farther is not expected to be seen [m].
+    /// What is farther is not looked for at all [m].
     pub range_m: f64,
+    /// Nominal range of both sensors: rates are over what is nearer than this [m].
+    pub nominal_m: f64,
     /// What is farther off the robot's heading is not expected to be seen [°]: where the finder looks while driving.
     pub sector_deg: f64,
     /// What a sensor says is right within this [m].
@@ -79,6 +81,7 @@ impl Default for CompareParams {
     fn default() -> Self {
         Self {
             range_m: 4.0,
+            nominal_m: 3.0,
             sector_deg: 35.0,
             tolerance_m: 0.15,
             clearance_m: 0.05,
@@ -102,6 +105,7 @@ impl CompareParams {
     pub fn validated(self, scene: &Scene) -> Result<Self> {
         for (what, value, low, high) in [
             ("range_m", self.range_m, 0.5, 20.0),
+            ("nominal_m", self.nominal_m, 0.5, 20.0),
             ("sector_deg", self.sector_deg, 1.0, 180.0),
             ("tolerance_m", self.tolerance_m, 0.001, 2.0),
             ("clearance_m", self.clearance_m, 0.001, 1.0),
