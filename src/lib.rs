@@ -31,7 +31,7 @@
 //! | 6 | pipeline |
 //! | 7 | record |
 //! | 8 | sinks sources |
-//! | 9 | design reproduce |
+//! | 9 | compare design reproduce |
 //! | 10 | cli |
 //! | 11 | main |
 //!
@@ -46,11 +46,12 @@
 //!
 //! # Deliberately absent
 //!
-//! Drift correction (map and odom coincide), path planning (the robot stops before what its map shows), moving people; in
+//! Drift correction (map and odom coincide), path planning (the robot stops before what its map shows); in
 //! the image, light between matt surfaces and lines seen in a mirror.
 
 pub mod calibration;
 pub mod cli;
+pub mod compare;
 pub mod design;
 pub mod fault;
 pub mod geometry;

@@ -5,6 +5,7 @@
 mod browser;
 mod calibration;
 mod commands;
+mod compare;
 mod design;
 mod drift;
 mod finder;

@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod calibrate;
+pub mod compare;
 pub mod design;
 pub mod extract;
 pub mod gallery;
@@ -62,6 +63,8 @@ pub enum Command {
     Reproduce(reproduce::Options),
     /// What a finder will see, how well and how safely, before you build it.
     Design(Box<design::Options>),
+    /// Laser against ultrasonic: many seeds of one scenario, one report.
+    Compare(compare::Options),
     /// Take the time of the kernels, beside the peers'.
     Bench(bench::Options),
     /// Draw what each effect in the simulated image does.
@@ -79,6 +82,7 @@ pub fn run(cli: Cli) -> Result<Exit> {
         Command::Extract(options) => extract::run(options),
         Command::Calibrate(command) => calibrate::run(command),
         Command::Reproduce(options) => reproduce::run(options),
+        Command::Compare(options) => compare::run(options),
         Command::Bench(options) => bench::run(options),
         Command::Design(options) => design::run(*options),
         Command::Gallery(options) => gallery::run(options),

@@ -136,5 +136,5 @@ fn scene(view: View) -> Scene {
         ]),
     }
     // A lit room (instrument.md 1).
-    Scene { name: "reproduce".into(), bodies, ambient_w_per_m2: 0.06, absent: Vec::new() }
+    Scene { name: "reproduce".into(), bodies, ambient_w_per_m2: 0.06, ..Scene::default() }
 }

@@ -95,7 +95,7 @@ pub fn run(options: Options) -> Result<Exit> {
         ("pipeline.toml".into(), "application/toml".into(), scenario.pipeline.to_toml()?.into_bytes()),
     ];
     let mut session = Session::begin(pipeline, begin, opened.take_sinks(), Some(1000))?;
-    let result = drive(&mut session, &mut simulation, &mut judge);
+    let result = drive(&mut session, &mut simulation, &mut judge, true);
     if let Err(fault) = &result {
         session.log("ERROR", fault.to_string());
     }
@@ -127,10 +127,12 @@ fn overrides(options: &Options) -> String {
     format!("odometry {odometry:?}, start {start:?}, goto {goals:?}, duration_s {duration_s:?}, bump {bumps:?}{ring}")
 }
 
-/// The loop: simulate, map, judge, show.
-fn drive(session: &mut Session, simulation: &mut Simulation, judge: &mut Judge) -> Result<()> {
+/// The loop: simulate, map, judge, show. A robot that does not look at its maps drives into what is in its way.
+pub(super) fn drive(session: &mut Session, simulation: &mut Simulation, judge: &mut Judge, looks: bool) -> Result<()> {
     while !stop_requested() {
-        simulation.look_at(session.pipeline.maps(), session.pipeline.world_from_odom());
+        if looks {
+            simulation.look_at(session.pipeline.maps(), session.pipeline.world_from_odom());
+        }
         let Some(Shot { capture, truth, heard, notes }) = simulation.next_shot()? else { break };
         log_notes(session, notes);
         hear(session, heard);

@@ -37,7 +37,7 @@ pub enum Style {
 /// Points with a name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// For the legend.
+    /// For the legend; empty: not in it.
     pub name: String,
     /// How.
     pub style: Style,
@@ -181,7 +181,12 @@ impl Plot {
     }
 
     fn legend_lines(&self) -> usize {
-        if self.series.len() < 2 { 0 } else { self.series.len().div_ceil(self.legend_columns()) }
+        if self.series.len() < 2 { 0 } else { self.named().count().div_ceil(self.legend_columns()) }
+    }
+
+    /// Series that stand in the legend, with their places: those that have a name.
+    fn named(&self) -> impl Iterator<Item = (usize, &Series)> {
+        self.series.iter().enumerate().filter(|(_, series)| !series.name.is_empty())
     }
 
     /// Two names a line where they are short.
@@ -193,10 +198,10 @@ impl Plot {
         if self.legend_lines() == 0 {
             return;
         }
-        for (i, series) in self.series.iter().enumerate() {
+        for (i, (place, series)) in self.named().enumerate() {
             let (column, row) = (i % self.legend_columns(), i / self.legend_columns());
             let (x, y) = (ROOM.0 + column as f64 * 185.0, ROOM.2 + 6.0 + 16.0 * row as f64);
-            let colour = series.ink(i);
+            let colour = series.ink(place);
             let (left, right) = (x, x + 18.0);
             match series.style {
                 Style::Line | Style::Dashed => draw(svg, series.style, colour, &[(left, y - 4.0), (right, y - 4.0)]),

@@ -143,11 +143,17 @@ impl ImageParams {
 
     /// Mean electrons of a pixel on the axis without the laser: dark signal, ambient light (given for 10 nm) and sun.
     pub fn background_electrons(&self, rig: &Rig, ambient_w_per_m2: f64) -> f64 {
+        let irradiance = self.background_w_per_m2(ambient_w_per_m2);
+        self.dark_electrons + self.electrons_of(rig, irradiance, self.ambient_albedo)
+    }
+
+    /// Electrons that a surface of this albedo under an irradiance [W/m²] within the band-pass leaves in a pixel in the
+    /// middle of the image.
+    pub fn electrons_of(&self, rig: &Rig, irradiance_w_per_m2: f64, albedo: f64) -> f64 {
         // A pixel sees radiance ρE/π through the solid angle π/(4N²).
         let pitch = self.focal_length_m * self.focal_length_m / (rig.camera.fx * rig.camera.fy);
-        let irradiance = self.background_w_per_m2(ambient_w_per_m2);
-        let power_w = irradiance * self.ambient_albedo / (4.0 * self.f_number * self.f_number) * pitch;
-        self.dark_electrons + power_w * self.exposure_s * self.electrons_per_joule(rig.sheet.wavelength_m)
+        let power_w = irradiance_w_per_m2 * albedo / (4.0 * self.f_number * self.f_number) * pitch;
+        power_w * self.exposure_s * self.electrons_per_joule(rig.sheet.wavelength_m)
     }
 
     /// Solid angle of the aperture from a place so far away [sr].

@@ -170,6 +170,18 @@ impl Light {
 }
 
 impl Light {
+    /// Adds the same light to every pixel of a square block with this first column and row.
+    pub fn add_block(&mut self, [column, row]: [usize; 2], side: usize, electrons: f64) {
+        let (width, height) = (self.columns.len(), self.height);
+        let (first, end) = (row.min(height), (row + side).min(height));
+        for u in column..(column + side).min(width) {
+            let lit = &mut self.columns[u];
+            let held = lit.first < lit.end;
+            *lit = if held { Lit { first: lit.first.min(first), end: lit.end.max(end) } } else { Lit { first, end } };
+            self.electrons[u * height..][first..end].iter_mut().for_each(|pixel| *pixel += electrons as f32);
+        }
+    }
+
     /// Spills what is over `room` [electrons] along each column.
     fn bloom(&mut self, room: f64, share: f64) {
         for (column, lit) in self.columns.iter_mut().enumerate() {

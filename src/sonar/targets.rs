@@ -59,7 +59,7 @@ impl Targets {
                     fixed.extend(own.iter().map(|feature| feature.moved(&body.pose)));
                     solids.extend(Solid::new(body, number, &body.pose));
                 }
-                Motion::Dynamic { .. } => moving.push((index, body.pose, own)),
+                Motion::Dynamic { .. } | Motion::Scripted => moving.push((index, body.pose, own)),
             }
         }
         let fixed = Group::new(fixed, &solids, None);

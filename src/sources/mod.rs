@@ -5,6 +5,7 @@ mod files;
 mod image_poses;
 pub mod images;
 pub mod marks;
+mod obstacles;
 mod plan_truth;
 mod recorded_ranges;
 pub mod replay;
@@ -16,6 +17,7 @@ pub mod slits;
 mod truth;
 mod ultrasound;
 
+pub use obstacles::{CompareParams, Kind, TargetParams};
 pub use plan_truth::{LayerVerdict, LayerVerdicts, PlanTruth};
 pub use scenario::Scenario;
 pub use simulation::{Shot, ShotTruth, Simulation};

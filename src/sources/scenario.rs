@@ -7,6 +7,7 @@ use nalgebra::{Isometry3, Vector3};
 use serde::Deserialize;
 
 use super::files::read_text;
+use super::obstacles::CompareParams;
 use super::rig_file;
 use crate::calibration::finder::drift::DriftParams;
 use crate::calibration::finder::shifted;
@@ -47,6 +48,8 @@ pub struct Scenario {
     pub image: ImageParams,
     /// The ultrasonic ring beside the finder; `None`: the robot has none.
     pub sonar: Option<RingParams>,
+    /// On what terms sensors are compared.
+    pub compare: CompareParams,
     /// How lines are found and maps are made.
     pub pipeline: PipelineParams,
     /// What the robot does.
@@ -71,6 +74,8 @@ struct File {
     finder: Finder,
     /// An ultrasonic ring, METRO-I's by default; without the table there is none.
     sonar: Option<RingParams>,
+    #[serde(default)]
+    compare: CompareParams,
     #[serde(default)]
     maps: MapParams,
     /// On by default over a level ground plane, and off elsewhere.
@@ -131,6 +136,7 @@ impl Scenario {
             None => here(fault),
         };
         let sonar = file.sonar.map(RingParams::validated).transpose().map_err(at_key)?;
+        let compare = file.compare.validated(&scene).map_err(at_key)?;
         let drift = file.drift.unwrap_or_else(|| drift_over(&scene)).validated().map_err(here)?;
         Ok(Self {
             scene,
@@ -149,6 +155,7 @@ impl Scenario {
             },
             image,
             sonar,
+            compare,
             mission: file.mission.validated().map_err(here)?,
             text: source.text,
         })
@@ -173,6 +180,7 @@ impl Scenario {
             sweep: SweepParams::default(),
             image: ImageParams::default(),
             sonar: None,
+            compare: CompareParams::default(),
             mission: look_and_move(),
         })
     }

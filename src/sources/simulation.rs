@@ -191,7 +191,7 @@ impl Simulation {
         let now = self.instant();
         let Some(ultrasound) = self.ultrasound.as_mut().filter(|ring| ring.is_due(now.stamp)) else { return Ok(()) };
         for (index, body) in self.scene.bodies.iter().enumerate() {
-            if let (Motion::Dynamic { .. }, Some(pose)) = (body.motion, self.physics.body_pose(index)) {
+            if let (true, Some(pose)) = (body.motion != Motion::Static, self.physics.body_pose(index)) {
                 ultrasound.set_pose(index, pose)?;
             }
         }
@@ -212,7 +212,7 @@ impl Simulation {
     fn expose(&mut self, trigger: &Trigger) -> Result<Shot> {
         let mut moved = Vec::new();
         for (index, body) in self.scene.bodies.iter().enumerate() {
-            if let (Motion::Dynamic { .. }, Some(pose)) = (body.motion, self.physics.body_pose(index)) {
+            if let (true, Some(pose)) = (body.motion != Motion::Static, self.physics.body_pose(index)) {
                 self.surfaces.set_pose(index, pose)?;
                 moved.push((index, pose * body.pose.inverse()));
             }

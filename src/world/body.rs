@@ -5,6 +5,8 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::movers::Mover;
+
 /// A triangle mesh in its body's own frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
@@ -48,6 +50,9 @@ pub struct Material {
     pub albedo: f64,
     /// Share of the light mirrored, 0 to 1; albedo + gloss ≤ 1.
     pub gloss: f64,
+    /// Share of the light that goes straight through, 0 to 1; albedo + gloss + transmission ≤ 1. From a half on light is not
+    /// stopped: what is behind is lit and seen as if nothing stood before it [A]. Sound does not pass.
+    pub transmission: f64,
     /// RMS angle by which mirrored light is off the mirror direction, one axis [rad]: 0 is a mirror, lacquer some 0.01 [A].
     pub gloss_spread_rad: f64,
     /// RMS height of the surface that sound sees [m]; 0 is a mirror to it.
@@ -63,6 +68,7 @@ impl Default for Material {
         Self {
             albedo: 0.5,
             gloss: 0.0,
+            transmission: 0.0,
             gloss_spread_rad: 0.01,
             acoustic_roughness_m: 0.0,
             friction: 0.8,
@@ -81,6 +87,8 @@ pub enum Motion {
         /// Mass [kg].
         mass_kg: f64,
     },
+    /// By script: one of the scene's movers carries it.
+    Scripted,
 }
 
 /// One thing in the world.
@@ -100,6 +108,25 @@ pub struct Body {
     pub ground: bool,
 }
 
+/// A part of the world that direct sun falls on: all surfaces above a rectangle of the ground, as bright whichever way they
+/// face [A].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sunlit {
+    /// Its least x and y [m].
+    pub from_m: [f64; 2],
+    /// Its greatest x and y [m].
+    pub to_m: [f64; 2],
+    /// Irradiance within 10 nm about the laser's wavelength [W/m²].
+    pub w_per_m2: f64,
+}
+
+impl Sunlit {
+    /// Whether a point of the world lies in it.
+    pub fn holds(&self, point: &Vector3<f64>) -> bool {
+        (0..2).all(|axis| (self.from_m[axis]..=self.to_m[axis]).contains(&point[axis]))
+    }
+}
+
 /// A world before anything moved.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
@@ -109,6 +136,10 @@ pub struct Scene {
     pub bodies: Vec<Body>,
     /// Ambient irradiance within 10 nm about the laser's wavelength [W/m²].
     pub ambient_w_per_m2: f64,
+    /// What moves by script.
+    pub movers: Vec<Mover>,
+    /// Where direct sun falls.
+    pub sunlit: Vec<Sunlit>,
     /// What the file asks for and this program does not do or have: listed for the user, never dropped in silence.
     pub absent: Vec<String>,
 }

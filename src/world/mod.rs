@@ -3,6 +3,7 @@
 mod body;
 mod collada;
 mod mesh;
+mod movers;
 mod physics;
 mod scene;
 mod sdf;
@@ -12,8 +13,9 @@ mod surfaces;
 mod touch;
 mod xml;
 
-pub use body::{Body, Material, Mesh, Motion, Scene, Shape};
+pub use body::{Body, Material, Mesh, Motion, Scene, Shape, Sunlit};
 pub use mesh::load as load_mesh;
+pub use movers::{Mover, Track};
 pub use physics::{Physics, RobotBody, RobotVelocity, Rolling};
 pub use scene::{Source, WorldSpec, toml_fault};
 pub use sdf::load as load_sdf;

@@ -13,6 +13,7 @@ use rapier3d::math::{Pose, Rotation, Vector};
 use rapier3d::pipeline::{ActiveHooks, ContactModificationContext, PhysicsHooks, PhysicsWorld, QueryFilter};
 
 use super::body::{Body, Mesh, Motion, Scene, Shape};
+use super::movers::Mover;
 use crate::fault::{Fault, Result, number_within};
 use crate::geometry::{Robot, Transform, World};
 
@@ -128,6 +129,7 @@ struct Placed {
 pub struct Physics {
     world: PhysicsWorld,
     bodies: Vec<Placed>,
+    movers: Vec<Mover>,
     colliders: Vec<(ColliderHandle, usize)>,
     robot: RigidBodyHandle,
     chassis: ColliderHandle,
@@ -174,6 +176,7 @@ impl Physics {
         Ok(Self {
             world,
             bodies,
+            movers: scene.movers.clone(),
             colliders,
             robot: robot_handle,
             chassis,
@@ -209,6 +212,7 @@ impl Physics {
             (wheel, turn * Vector::Z.cross(velocity))
         });
         let hooks = Belts(belts.collect());
+        self.move_by_script()?;
         self.world.step_with_events(&hooks, &());
         self.steps += 1;
         self.count_collisions();
@@ -253,6 +257,20 @@ impl Physics {
         let now = self.touched.iter().filter(|t| t.1 == self.steps);
         let index = |hit: &ColliderHandle| self.colliders.iter().find(|c| c.0 == *hit).map(|c| c.1);
         now.filter_map(|(hit, _)| index(hit)).filter_map(|i| Some((i, self.bodies.get(i)?.name.as_str()))).collect()
+    }
+
+    /// Tells what moves by script where to be after the step.
+    fn move_by_script(&mut self) -> Result<()> {
+        let then_s = (self.steps + 1) as f64 * self.dt_s;
+        for mover in &self.movers {
+            let moved = mover.moved(then_s);
+            for placed in mover.bodies.iter().filter_map(|index| self.bodies.get(*index)) {
+                if let Some(body) = placed.handle.and_then(|handle| self.world.bodies.get_mut(handle)) {
+                    body.set_next_kinematic_position(pose(&(moved * placed.start))?);
+                }
+            }
+        }
+        Ok(())
     }
 
     fn count_collisions(&mut self) {
@@ -305,6 +323,11 @@ fn place(world: &mut PhysicsWorld, body: &Body) -> Result<(Option<RigidBodyHandl
         .restitution(0.0);
     match body.motion {
         Motion::Static => Ok((None, world.insert_collider(collider.position(at * turned), None))),
+        Motion::Scripted => {
+            let body = RigidBodyBuilder::kinematic_position_based().pose(at);
+            let (handle, collider) = world.insert(body, collider.position(turned));
+            Ok((Some(handle), collider))
+        }
         Motion::Dynamic { mass_kg } => {
             let mass_kg = number_within("mass_kg", mass_kg, 1e-3, 1e6).map_err(named)?;
             let collider = collider.mass(mass_kg as f32).position(turned);
@@ -348,7 +371,7 @@ fn mesh_shape(mesh: &Mesh, motion: Motion) -> Result<SharedShape> {
     }
     let vertices: Vec<_> = mesh.vertices.iter().map(glam).collect();
     match motion {
-        Motion::Static => {
+        Motion::Static | Motion::Scripted => {
             // Without it a wheel trips over the edges between the triangles of flat ground.
             let flags = TriMeshFlags::FIX_INTERNAL_EDGES_TWO_SIDED;
             SharedShape::trimesh_with_flags(vertices, mesh.triangles.clone(), flags)
@@ -509,6 +532,24 @@ mod tests {
             let rolling = Rolling { forward_m_s: forward_m_s * share, left_m_s: 0.0, turn_rad_s: turn_rad_s * share };
             physics.step(rolling).unwrap();
         }
+    }
+
+    #[test]
+    fn what_moves_by_script_is_where_it_should_be_and_nothing_stops_it() {
+        let floor = body("floor", Shape::Plane, [0.0; 3], Motion::Static);
+        let walker = body("walker", Shape::Cylinder { radius: 0.1, length: 1.0 }, [2.0, 0.0, 0.55], Motion::Scripted);
+        let crate_ =
+            body("crate", Shape::Box { size: [0.2; 3].into() }, [2.0, 0.5, 0.1], Motion::Dynamic { mass_kg: 5.0 });
+        let track = crate::world::Track::steady(&[[0.0; 3], [0.0, 2.0, 0.0]], 1.0, 0.0, false).unwrap();
+        let movers = vec![Mover { name: "m".into(), bodies: vec![1], track }];
+        let scene = Scene { bodies: vec![floor, walker, crate_], movers, ..Scene::default() };
+        let mut physics = Physics::new(&scene, &RobotBody::default(), [0.0; 2], 0.0, Physics::DT_S).unwrap();
+        for _ in 0..240 {
+            physics.step(Rolling::default()).unwrap();
+        }
+        let at = |index| physics.body_pose(index).unwrap().translation.vector;
+        assert!((at(1) - Vector3::new(2.0, 1.0, 0.55)).norm() < 1e-4, "{}", at(1));
+        assert!(at(2).y > 1.0, "pushed along: {}", at(2));
     }
 
     #[test]

@@ -17,7 +17,8 @@ pub use self::source::{Source, toml_fault};
 
 use self::build::Builder;
 use self::spec::{
-    BoxSpec, Common, CylinderSpec, GroundSpec, HeightfieldSpec, MaterialSpec, MeshSpec, Number, SphereSpec, TableSpec,
+    BoxSpec, Common, CylinderSpec, GroundSpec, HeightfieldSpec, MaterialSpec, MeshSpec, MoverSpec, Number, SphereSpec,
+    SunlitSpec, TableSpec,
 };
 use super::body::{Scene, Shape};
 use super::sdf;
@@ -42,6 +43,8 @@ pub struct WorldSpec {
     table: Vec<TableSpec>,
     heightfield: Vec<HeightfieldSpec>,
     mesh: Vec<MeshSpec>,
+    mover: Vec<MoverSpec>,
+    sunlit: Vec<SunlitSpec>,
 }
 
 impl WorldSpec {
@@ -67,6 +70,12 @@ impl WorldSpec {
         }
         scene.name = source.file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         builder.ground(self.ground.as_ref())?;
+        for spec in &self.mover {
+            builder.mover(spec)?;
+        }
+        for spec in &self.sunlit {
+            scene.sunlit.push(builder.sunlit(spec)?);
+        }
         for spec in &self.r#box {
             builder.upright(&spec.common("box"), false, |b, c| b.cuboid(c, &spec.size))?;
         }
@@ -175,6 +184,38 @@ mod tests {
         let top = mesh.vertices.iter().find(|v| v.z > 0.1).unwrap();
         assert!(((ramp.pose * Point3::from(*top)).x - 4.5).abs() < 1e-9);
         assert_eq!(scene.bodies.iter().map(|b| b.ground).collect::<Vec<_>>(), [true, false, false, false, false, true]);
+    }
+
+    #[test]
+    fn bodies_ride_on_their_mover() {
+        let text = "[[world.mover]]\nname = 'w'\npath = [[1, 2], [1, 5]]\nspeed_m_s = 1.5\nloop = true\n\
+             [[world.box]]\nname = 'rider'\nposition = [0.5, 0]\nsize = [0.2, 0.2, 0.2]\nmover = 'w'\n\
+             [[world.sunlit]]\nfrom = [0, 0]\nto = [1, 2]\n";
+        let found = scene(text);
+        assert_eq!(found.movers.len(), 1);
+        assert_eq!((found.movers[0].bodies.as_slice(), found.bodies[0].motion), ([0].as_slice(), Motion::Scripted));
+        // Its path heads along y: what is ahead of the mover is there, too.
+        close(found.bodies[0].pose.translation.vector, [1.0, 2.5, 0.1]);
+        let later = found.movers[0].moved(1.0) * found.bodies[0].pose;
+        close(later.translation.vector, [1.0, 4.0, 0.1]);
+        assert!(
+            found.sunlit[0].holds(&Vector3::new(0.5, 1.0, 9.0)) && !found.sunlit[0].holds(&Vector3::new(1.5, 1.0, 0.0))
+        );
+        assert_eq!(found.sunlit[0].w_per_m2, 14.0);
+        for (from, to, expected) in [
+            ("mover = 'w'", "mover = 'v'", "test.toml:10: world.box `rider`: mover: found `v`, expected one of `w`"),
+            ("mover = 'w'", "mover = 'w'\nmass_kg = 1", "mass_kg"),
+            ("mover = 'w'\n", "", "test.toml:2: world.mover `w`: found no body"),
+            ("speed_m_s = 1.5", "speed_m_s = 0", "test.toml:3: world.mover `w`: speed_m_s: found 0"),
+            ("speed_m_s = 1.5", "", "one of the two"),
+            ("[1, 5]", "[1]", "path: found 1 numbers"),
+            ("[1, 5]", "[1, nan]", "path: found NaN"),
+            ("to = [1, 2]", "to = [-1, 2]", "world.sunlit: to"),
+            ("from = [0, 0]", "from = [0]", "world.sunlit: from: found 1 numbers"),
+        ] {
+            let fault = refused(&text.replacen(from, to, 1));
+            assert!(fault.contains(expected), "{fault}");
+        }
     }
 
     #[test]

@@ -21,6 +21,8 @@ type V3 = Vector3<f64>;
 const CLEARANCE_M: f64 = 5e-4;
 /// How far beyond its edges a triangle still stops a ray, in barycentric coordinates: neighbours leave no gap.
 const EDGE: f64 = 1e-9;
+/// Bodies that let through this share of the light stop none of it.
+const CLEAR_FROM: f64 = 0.5;
 /// What the boxes of the tree are larger than what they hold, for `EDGE` and rounding [m].
 const MARGIN_M: f64 = 1e-6;
 
@@ -89,6 +91,8 @@ pub struct Hit {
 pub struct Surfaces {
     pub(super) fixed: Set,
     pub(super) moving: Vec<Moving>,
+    /// Which bodies light passes.
+    clear: Vec<bool>,
 }
 
 /// A ray origin + t·direction; t is in metres where the direction is a unit vector.
@@ -110,7 +114,7 @@ impl Surfaces {
             let named = |fault: Fault| Fault { what: format!("body {}: {}", body.name, fault.what), ..fault };
             match body.motion {
                 Motion::Static => fixed.add(number, body, &body.pose).map_err(named)?,
-                Motion::Dynamic { .. } => {
+                Motion::Dynamic { .. } | Motion::Scripted => {
                     let mut own = Parts::default();
                     own.add(number, body, &Isometry3::identity()).map_err(named)?;
                     finite_pose(&body.pose).map_err(named)?;
@@ -118,10 +122,11 @@ impl Surfaces {
                 }
             }
         }
-        Ok(Self { fixed: fixed.build()?, moving })
+        let clear = scene.bodies.iter().map(|body| body.material.transmission >= CLEAR_FROM).collect();
+        Ok(Self { fixed: fixed.build()?, moving, clear })
     }
 
-    /// Moves a body that can be pushed to a new pose. Errors: a body that cannot move, a pose that is not finite.
+    /// Moves a body that is not static to a new pose. Errors: a body that cannot move, a pose that is not finite.
     pub fn set_pose(&mut self, body: usize, world_from_body: Isometry3<f64>) -> Result<()> {
         finite_pose(&world_from_body)?;
         let Some(moving) = self.moving.iter_mut().find(|m| m.body == body) else {
@@ -134,6 +139,15 @@ impl Surfaces {
     /// Whether any surface stands between two points. Half a millimetre at both ends is left out: what the points lie on
     /// does not block them. Meshes are tight: no ray slips between two triangles that share an edge.
     pub fn blocked(&self, from: Point<World>, to: Point<World>) -> bool {
+        self.blocked_but_for(&[], from, to)
+    }
+
+    /// The same for light, which passes what lets through half of it or more.
+    pub fn blocked_to_light(&self, from: Point<World>, to: Point<World>) -> bool {
+        self.blocked_but_for(&self.clear, from, to)
+    }
+
+    fn blocked_but_for(&self, clear: &[bool], from: Point<World>, to: Point<World>) -> bool {
         let way = to.xyz - from.xyz;
         let length = way.norm();
         let (near, far) = (CLEARANCE_M, length - CLEARANCE_M);
@@ -141,8 +155,8 @@ impl Surfaces {
             return false;
         }
         let ray = Ray { origin: from.xyz, direction: way / length };
-        self.fixed.any_between(&ray, near, far)
-            || self.moving.iter().any(|m| m.set.any_between(&ray.seen_from(&m.world_from_body), near, far))
+        self.fixed.any_between(&ray, near, far, clear)
+            || self.moving.iter().any(|m| m.set.any_between(&ray.seen_from(&m.world_from_body), near, far, clear))
     }
 
     /// The first surface along a ray, at most `range_m_max` away; `direction` may have any length but zero.
@@ -364,9 +378,10 @@ impl Set {
         });
     }
 
-    fn any_between(&self, ray: &Ray, near: f64, far: f64) -> bool {
+    fn any_between(&self, ray: &Ray, near: f64, far: f64, clear: &[bool]) -> bool {
         let within = |t: f64| t > near && t < far;
-        if self.flats.iter().any(|flat| flat.meet(ray).is_some_and(within)) {
+        let stops = |body: u32| clear.get(body as usize) != Some(&true);
+        if self.flats.iter().any(|flat| stops(flat.body) && flat.meet(ray).is_some_and(within)) {
             return true;
         }
         let inverse = ray.direction.map(|d| 1.0 / d);
@@ -375,8 +390,10 @@ impl Set {
             |low, high| crosses(ray, &inverse, low, high, near, far),
             |leaf| {
                 found = match leaf {
-                    Leaf::Triangle(triangle) => triangle.meet(ray).is_some_and(within),
-                    Leaf::Solid(solid) => solid.pierce(ray).is_some_and(|(a, b)| within(a) || within(b)),
+                    Leaf::Triangle(triangle) => stops(triangle.body) && triangle.meet(ray).is_some_and(within),
+                    Leaf::Solid(solid) => {
+                        stops(solid.body) && solid.pierce(ray).is_some_and(|(a, b)| within(a) || within(b))
+                    }
                 };
                 found
             },

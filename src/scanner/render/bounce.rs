@@ -88,7 +88,7 @@ impl Mirror {
     /// Whether light goes from the laser by the mirror to a point.
     pub fn lights(&self, surfaces: &Surfaces, point: &V3) -> bool {
         let Some(at) = self.place(point) else { return false };
-        !surfaces.blocked(self.source, at.into()) && !surfaces.blocked(at.into(), (*point).into())
+        !surfaces.blocked_to_light(self.source, at.into()) && !surfaces.blocked_to_light(at.into(), (*point).into())
     }
 
     /// RMS half thickness that the material's lobe adds to the sheet on its way from the mirror to a point [m].

@@ -6,6 +6,7 @@
 //! - `speckle`: a fixed pattern of 0.04 px at f/2, and a contrast of the light, that belong to the place on the surface;
 //! - `split`: an edge within the sheet's thickness parts the stripe in two, or leaves a mixed one;
 //! - `bounce`: a flat glossy surface throws the sheet on something else: a false line;
+//! - `sun`: parts of the world in direct sun;
 //! - `smear`: a moving robot or mirror during the exposure.
 //!
 //! Absent: light that goes from diffuse surface to diffuse surface; stripes that the camera sees in a mirror; ambient
@@ -16,6 +17,7 @@ mod light;
 mod smear;
 mod speckle;
 mod split;
+mod sun;
 mod trace;
 
 use nalgebra::{Isometry3, Matrix3, Vector3};
@@ -31,6 +33,7 @@ use crate::world::{Material, Scene, Surfaces};
 use bounce::Mirror;
 use light::Glimpse;
 use speckle::Speckle;
+use sun::Sun;
 use trace::{PARTS, Trace};
 
 type V3 = Vector3<f64>;
@@ -103,6 +106,7 @@ pub struct Renderer {
     sensor: Sensor,
     bell: Bell,
     speckle: Speckle,
+    sun: Sun,
     /// The camera sees what has x, y between these times z (camera frame): x from, to, y from, to.
     field: [f64; 4],
 }
@@ -153,7 +157,13 @@ impl Renderer {
         let is_glossy = materials.iter().any(|material| material.gloss > 0.0);
         let (sensor, field) = (sensor(&rig, &params, ambient), field_of_view(&rig)?);
         let speckle = Speckle::new(&rig, &params);
-        Ok(Self { rig, params, materials, is_glossy, sensor, bell: Bell::new(), speckle, field })
+        let sun = Sun::new(
+            &rig,
+            scene,
+            params.vignetting,
+            params.electrons_of(&rig, params.filter_bandwidth_nm / 10.0, 1.0),
+        );
+        Ok(Self { rig, params, materials, is_glossy, sensor, bell: Bell::new(), speckle, sun, field })
     }
 
     /// The parameters in use.
@@ -210,6 +220,7 @@ impl Renderer {
             let view = self.view(surfaces, &moment, seed)?;
             view.shine(view.trace(None), share, &mut light);
         }
+        self.shine_sun(surfaces, &view.eye, &view.turn.transpose(), &mut light);
         Ok(Exposure { image: self.sensor.read(light, seed, frame)?, truth })
     }
 
@@ -347,6 +358,48 @@ mod tests {
         let renderer = Renderer::new(rig, params, scene).unwrap();
         let surfaces = Surfaces::new(scene).unwrap();
         renderer.expose(&surfaces, &Transform::identity(), 0.0, beam_rad, 1, frame).unwrap()
+    }
+
+    #[test]
+    fn light_passes_glass_and_stops_at_a_screen() {
+        let wall = || Body { ground: false, ..block([0.1, 3.0, 2.0], [2.5, 0.0, 1.0]) };
+        let pane = |transmission: f64| Body {
+            material: Material { albedo: 0.0, transmission, ..Material::default() },
+            ..block([0.01, 2.0, 2.0], [1.8, 0.0, 1.0])
+        };
+        let on_wall = |transmission| {
+            let truth = seen(vec![floor(), pane(transmission), wall()], beam_at_p() - 0.05);
+            truth.iter().filter(|sight| sight.body == 2).count()
+        };
+        let open = seen(vec![floor(), wall()], beam_at_p() - 0.05).iter().filter(|sight| sight.body == 1).count();
+        assert!(open > 100, "{open}");
+        assert_eq!((on_wall(0.9), on_wall(0.0)), (open, 0));
+    }
+
+    #[test]
+    fn direct_sun_brightens_what_it_falls_on_and_nothing_else() {
+        use crate::world::Sunlit;
+        let lit = |from_m: [f64; 2]| {
+            let sun = Sunlit { from_m, to_m: [9.0, 9.0], w_per_m2: 14.0 };
+            let scene = Scene { sunlit: vec![sun], ..scene(vec![floor()]) };
+            let image = shoot(&Rig::metro_i(), calm(), &scene, beam_at_p(), 0).image;
+            let mean = |u: std::ops::Range<usize>| {
+                let rows = (0..image.height()).step_by(8);
+                let levels: Vec<f64> = rows
+                    .flat_map(|v| u.clone().map(move |u| (u, v)))
+                    .map(|(u, v)| f64::from(image.row(v)[u]))
+                    .collect();
+                levels.iter().sum::<f64>() / levels.len() as f64
+            };
+            [mean(20..200), mean(312..492)]
+        };
+        let ([dark, _], [left, right]) = (lit([8.0, 8.0]), lit([0.0, 0.0]));
+        // The left half of the image is the robot's left, y > 0.
+        assert!(left > dark + 5.0 && (right - dark).abs() < 2.0, "{dark} {left} {right}");
+        // ρE/(4N²)·pitch²·t·η·τ·λ/hc of the whole well, at ρ = 0.5 in the middle; the corners get half.
+        let params = calm();
+        let expected = params.electrons_of(&Rig::metro_i(), 14.0, 0.5) * 127.0 / params.well_electrons;
+        assert!((0.4..1.0).contains(&((left - dark) / expected)), "{} {expected}", left - dark);
     }
 
     /// Without speckle.

@@ -184,10 +184,10 @@ impl View<'_> {
     fn clear(&self, point: &V3) -> bool {
         let at = Point::from(*point);
         let lit = match &self.beam.mirror {
-            None => !self.surfaces.blocked(self.beam.sheet.origin, at),
+            None => !self.surfaces.blocked_to_light(self.beam.sheet.origin, at),
             Some(mirror) => mirror.lights(self.surfaces, point),
         };
-        lit && !self.surfaces.blocked(at, self.eye.into())
+        lit && !self.surfaces.blocked_to_light(at, self.eye.into())
     }
 
     /// The same for a third of a column, asked for only where the columns beside it do not agree.

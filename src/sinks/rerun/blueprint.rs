@@ -326,3 +326,29 @@ fn uuid_bytes(number: u8) -> [u8; 16] {
     bytes[15] = number;
     bytes
 }
+
+#[cfg(test)]
+mod tests {
+    use rerun::external::re_chunk::Chunk;
+
+    use super::*;
+
+    #[test]
+    fn a_ring_gets_its_own_scene_and_maps_beside_the_lasers() {
+        let views = |has_sonar, has_truth| {
+            let bounds_m = [Vector3::zeros(), Vector3::repeat(1.0)];
+            let layout = Layout { image_px: [640.0, 480.0], bounds_m, has_truth, has_sonar };
+            let messages = messages("test", "test", 0, |book| write(book, &layout)).unwrap();
+            let paths = messages.iter().filter_map(|message| match message {
+                LogMsg::ArrowMsg(_, arrow) => Some(Chunk::from_arrow_msg(arrow).unwrap().entity_path().to_string()),
+                _ => None,
+            });
+            paths.filter(|path| path.ends_with("/ViewContents")).count()
+        };
+        // Scene, voxels, terrain, camera, plan, counts, log and page; errors with a truth.
+        assert_eq!(views(false, false), 8);
+        assert_eq!(views(false, true), 9);
+        // One more scene and two more plans.
+        assert_eq!(views(true, true), 12);
+    }
+}

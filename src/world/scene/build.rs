@@ -6,16 +6,20 @@ use std::ops::Range;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use toml::Spanned;
 
-use super::super::body::{Body, Material, Mesh, Motion, Scene, Shape};
+use super::super::body::{Body, Material, Mesh, Motion, Scene, Shape, Sunlit};
 use super::super::mesh;
+use super::super::movers::{Mover, Track};
 use super::super::sdf::asked_for_at;
 use super::super::shapes::{REACH_M, height_samples, length_within_reach, smooth_noise};
 use super::Source;
 use super::spec::{
-    BoxSpec, Common, GroundSpec, HeightfieldSpec, ImageSpec, MaterialSpec, MeshSpec, NoiseSpec, Number, Numbers,
-    ScaleSpec, TableSpec, WaveSpec,
+    BoxSpec, Common, GroundSpec, HeightfieldSpec, ImageSpec, MaterialSpec, MeshSpec, MoverSpec, NoiseSpec, Number,
+    Numbers, ScaleSpec, SunlitSpec, TableSpec, WaveSpec,
 };
 use crate::fault::{Fault, Result, number_within, positive};
+
+/// Direct sun within 10 nm about the laser's wavelength [W/m²] (instrument.md 1).
+const SUN_W_PER_M2: f64 = 14.0;
 
 /// Collects bodies, with what they refer to.
 pub(super) struct Builder<'a> {
@@ -23,12 +27,14 @@ pub(super) struct Builder<'a> {
     materials: BTreeMap<String, Material>,
     /// Bodies with the place of their name in the file.
     bodies: Vec<(Range<usize>, Body)>,
+    /// What moves by script, with its place in the file, and the names of its bodies.
+    movers: Vec<(Range<usize>, Mover, Vec<String>)>,
 }
 
 impl<'a> Builder<'a> {
     /// Starts with the materials, which bodies refer to by name.
     pub(super) fn new(source: &'a Source, materials: &BTreeMap<String, Spanned<MaterialSpec>>) -> Result<Self> {
-        let mut builder = Self { source, materials: BTreeMap::new(), bodies: Vec::new() };
+        let mut builder = Self { source, materials: BTreeMap::new(), bodies: Vec::new(), movers: Vec::new() };
         for (name, spec) in materials {
             let material = builder.material(name, spec.get_ref(), &spec.span())?;
             builder.materials.insert(name.clone(), material);
@@ -76,18 +82,20 @@ impl<'a> Builder<'a> {
         };
         set(&mut material.albedo, "albedo", &spec.albedo, 1.0)?;
         set(&mut material.gloss, "gloss", &spec.gloss, 1.0)?;
+        set(&mut material.transmission, "transmission", &spec.transmission, 1.0)?;
         set(&mut material.gloss_spread_rad, "gloss_spread_rad", &spec.gloss_spread_rad, 1.0)?;
         set(&mut material.acoustic_roughness_m, "acoustic_roughness_m", &spec.acoustic_roughness_m, 1.0)?;
         set(&mut material.friction, "friction", &spec.friction, 1000.0)?;
         material.colour = spec.colour.unwrap_or(material.colour);
-        let sum = material.albedo + material.gloss;
+        let sum = material.albedo + material.gloss + material.transmission;
         if sum > 1.0 + 1e-9 {
             let fault = Fault::new(
-                format!("material `{name}`: albedo + gloss"),
+                format!("material `{name}`: albedo + gloss + transmission"),
                 sum,
                 "at most 1: no surface sends back more light than it gets",
             );
-            let place = spec.gloss.as_ref().or(spec.albedo.as_ref()).map_or(span.clone(), Spanned::span);
+            let last = spec.transmission.as_ref().or(spec.gloss.as_ref());
+            let place = last.or(spec.albedo.as_ref()).map_or(span.clone(), Spanned::span);
             return Err(self.source.locate(fault, &place));
         }
         Ok(material)
@@ -161,6 +169,10 @@ impl<'a> Builder<'a> {
     }
 
     fn motion(&self, body: &Common) -> Result<Motion> {
+        if body.mover.is_some() {
+            self.refuse_mass(body)?;
+            return Ok(Motion::Scripted);
+        }
         let Some(mass) = body.mass_kg else { return Ok(Motion::Static) };
         let mass_kg = self.at(&mass.span(), positive(&body.what("mass_kg"), *mass.get_ref()))?;
         Ok(Motion::Dynamic { mass_kg })
@@ -168,7 +180,7 @@ impl<'a> Builder<'a> {
 
     fn refuse_mass(&self, body: &Common) -> Result<()> {
         let Some(mass) = body.mass_kg else { return Ok(()) };
-        let fault = Fault::new(body.what("mass_kg"), "a mass", "none: it cannot move");
+        let fault = Fault::new(body.what("mass_kg"), "a mass", "none: nothing can push it");
         Err(self.source.locate(fault, &mass.span()))
     }
 
@@ -178,6 +190,10 @@ impl<'a> Builder<'a> {
             let fault = Fault::new(format!("world.{}: name", body.kind), "an empty name", "a name of its own");
             return Err(self.source.locate(fault, &body.name.span()));
         }
+        let pose = match body.mover {
+            Some(mover) => self.ride(body, mover)? * pose,
+            None => pose,
+        };
         let body_built = Body {
             name: name.to_string(),
             shape: self.at(&body.name.span(), shape.validated())?,
@@ -188,6 +204,71 @@ impl<'a> Builder<'a> {
         };
         self.bodies.push((body.name.span(), body_built));
         Ok(())
+    }
+
+    /// Puts a body on its mover; gives where that is at time 0.
+    fn ride(&mut self, body: &Common, mover: &Spanned<String>) -> Result<Isometry3<f64>> {
+        let known: Vec<String> = self.movers.iter().map(|(_, mover, _)| format!("`{}`", mover.name)).collect();
+        let Some((_, mover, riders)) = self.movers.iter_mut().find(|(_, known, _)| known.name == *mover.get_ref())
+        else {
+            let expected = match known.is_empty() {
+                true => "a table [[world.mover]] of that name".to_string(),
+                false => format!("one of {}", known.join(", ")),
+            };
+            let fault = Fault::new(body.what("mover"), format!("`{}`", mover.get_ref()), expected);
+            return Err(self.source.locate(fault, &mover.span()));
+        };
+        riders.push(body.name.get_ref().trim().to_string());
+        Ok(mover.track.at(0.0))
+    }
+
+    pub(super) fn mover(&mut self, spec: &MoverSpec) -> Result<()> {
+        let name = spec.name.get_ref().clone();
+        let what = |key: &str| format!("world.mover `{name}`: {key}");
+        if self.movers.iter().any(|(_, mover, _)| mover.name == name) || name.is_empty() {
+            let fault = Fault::new("world.mover: name", format!("`{name}`"), "a name of its own");
+            return Err(self.source.locate(fault, &spec.name.span()));
+        }
+        let point = |at: &Vec<f64>| match *at.as_slice() {
+            [x, y] => Ok([x, y, 0.0]),
+            [x, y, z] => Ok([x, y, z]),
+            _ => Err(Fault::new(what("path"), format!("{} numbers", at.len()), "[x, y] or [x, y, z]")),
+        };
+        let way = spec.path.get_ref().iter().map(point).collect::<Result<Vec<_>>>();
+        let way = self.at(&spec.path.span(), way)?;
+        let repeats = spec.r#loop.unwrap_or(false);
+        let track = match (&spec.speed_m_s, &spec.times_s) {
+            (Some(speed), None) => {
+                let start_s = spec.start_s.as_ref().map_or(Ok(0.0), |s| self.within(&what("start_s"), s, 0.0, 1e6))?;
+                Track::steady(&way, *speed.get_ref(), start_s, repeats)
+            }
+            (None, Some(times)) => Track::new(&way, times.get_ref(), repeats),
+            _ => Err(Fault::new("speed", "both or none of speed_m_s and times_s", "one of the two")),
+        };
+        let named = |fault: Fault| Fault { what: what(&fault.what), ..fault };
+        let track = self.at(&spec.path.span(), track.map_err(named))?;
+        self.movers.push((spec.name.span(), Mover { name, bodies: Vec::new(), track }, Vec::new()));
+        Ok(())
+    }
+
+    pub(super) fn sunlit(&self, spec: &SunlitSpec) -> Result<Sunlit> {
+        let corner = |key: &str, numbers: &Numbers| {
+            let corner = self.exactly::<2>(&format!("world.sunlit: {key}"), numbers)?;
+            for value in corner {
+                self.at(&numbers.span(), number_within(&format!("world.sunlit: {key}"), value, -REACH_M, REACH_M))?;
+            }
+            Ok::<_, Fault>(corner)
+        };
+        let (from_m, to_m) = (corner("from", &spec.from)?, corner("to", &spec.to)?);
+        if from_m[0] >= to_m[0] || from_m[1] >= to_m[1] {
+            let fault = Fault::new("world.sunlit: to", format!("{to_m:?}"), format!("above {from_m:?}"));
+            return Err(self.source.locate(fault, &spec.to.span()));
+        }
+        let w_per_m2 = match &spec.w_per_m2 {
+            Some(number) => self.within("world.sunlit: w_per_m2", number, 0.0, 2000.0)?,
+            None => SUN_W_PER_M2,
+        };
+        Ok(Sunlit { from_m, to_m, w_per_m2 })
     }
 
     pub(super) fn cuboid(&self, body: &Common, size: &Numbers) -> Result<Shape> {
@@ -360,6 +441,15 @@ impl<'a> Builder<'a> {
                 return Err(self.source.locate(fault, &span));
             }
             scene.bodies.push(body);
+        }
+        for (span, mut mover, riders) in self.movers {
+            let index = |name: &String| scene.bodies.iter().position(|body| body.name == *name);
+            mover.bodies = riders.iter().filter_map(index).collect();
+            if mover.bodies.is_empty() {
+                let what = format!("world.mover `{}`", mover.name);
+                return Err(self.source.locate(Fault::new(what, "no body", "bodies with its name as `mover`"), &span));
+            }
+            scene.movers.push(mover);
         }
         Ok(scene)
     }

@@ -12,6 +12,7 @@ pub(super) type Numbers = Spanned<Vec<f64>>;
 pub(super) struct MaterialSpec {
     pub(super) albedo: Option<Number>,
     pub(super) gloss: Option<Number>,
+    pub(super) transmission: Option<Number>,
     pub(super) gloss_spread_rad: Option<Number>,
     pub(super) acoustic_roughness_m: Option<Number>,
     pub(super) friction: Option<Number>,
@@ -64,6 +65,7 @@ pub(super) struct Common<'a> {
     pub(super) material: Option<&'a Spanned<String>>,
     pub(super) mass_kg: Option<&'a Number>,
     pub(super) ground: Option<bool>,
+    pub(super) mover: Option<&'a Spanned<String>>,
 }
 
 /// A table of a body: what all have and its own keys. (Serde's `flatten` would lose unknown keys and their lines.)
@@ -79,6 +81,7 @@ macro_rules! body_spec {
             pub(super) material: Option<Spanned<String>>,
             pub(super) mass_kg: Option<Number>,
             pub(super) ground: Option<bool>,
+            pub(super) mover: Option<Spanned<String>>,
             $(pub(super) $field: $type,)*
         }
 
@@ -93,6 +96,7 @@ macro_rules! body_spec {
                     material: self.material.as_ref(),
                     mass_kg: self.mass_kg.as_ref(),
                     ground: self.ground,
+                    mover: self.mover.as_ref(),
                 }
             }
         }
@@ -116,6 +120,30 @@ body_spec!(HeightfieldSpec {
     image: Option<Spanned<ImageSpec>>,
 });
 body_spec!(MeshSpec { file: Spanned<String>, scale: Option<Spanned<ScaleSpec>> });
+
+/// Something that moves by script; bodies ride on it by their key `mover`, their positions in its frame.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MoverSpec {
+    pub(super) name: Spanned<String>,
+    /// Waypoints: [x, y] or [x, y, z].
+    pub(super) path: Spanned<Vec<Vec<f64>>>,
+    /// At a steady speed from `start_s` on ...
+    pub(super) speed_m_s: Option<Number>,
+    pub(super) start_s: Option<Number>,
+    /// ... or by a time for each waypoint.
+    pub(super) times_s: Option<Numbers>,
+    pub(super) r#loop: Option<bool>,
+}
+
+/// A rectangle of the ground that direct sun falls on.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SunlitSpec {
+    pub(super) from: Numbers,
+    pub(super) to: Numbers,
+    pub(super) w_per_m2: Option<Number>,
+}
 
 /// A wave of the ground: amplitude · sin(2π·(distance along `direction_deg`)/wavelength + phase).
 #[derive(Clone, Debug, Deserialize)]

@@ -1,0 +1,160 @@
+//! `metromap compare`: laser against ultrasonic, many seeds, one report.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+
+use super::Exit;
+use super::output::start;
+use super::run::drive;
+use super::session::{Session, interrupted, progress_bar, stop_requested};
+use crate::compare::{Plan, Sensors, csv, fingerprint, page, run_all, scenario_of, sum_up, verdict, write_whole};
+use crate::fault::{Fault, Result};
+use crate::pipeline::Pipeline;
+use crate::sinks::Sink;
+use crate::sinks::rerun::{RerunSink, Target};
+use crate::sources::{Judge, Scenario, Simulation};
+
+const JSON_HELP: &str = "\
+JSON keys: name, version, fingerprint, seeds, sensors, terms, sim_s, travel_m, collisions, \
+classes {class: {laser | ultrasonic: {opportunities, detected, rate, ci95, encounters, false_share {hits, of, rate, ci95}, \
+range_rmse_m, bearing_rmse_rad, first_detection_m, first_detection_s {value, ci95}, by_distance [{from_m, to_m, hits, of, rate, ci95}]}}}, \
+order [class], false_obstacles {sensor: {of_reports, of_seconds}}, \
+map {laser | ultrasonic | fused: {iou, precision, recall, free_space_error, free_found, free_blocked}}, \
+needs {sensor: {power_w, kb_per_s, line_kb_per_s, per_s}}, \
+differences [{what, measure, more_is_better, difference, p, p_holm, winner}], verdict [sentence], files, redone. \
+null: not measured.
+
+A run that was stopped goes on where it was: every finished seed is kept in DIR/seeds.";
+
+/// Laser against ultrasonic: the same robot, world, way and seconds, over many seeds, and a report.
+#[derive(Args, Clone, Debug)]
+#[command(after_long_help = JSON_HELP)]
+pub struct Options {
+    /// A scenario (.toml), or an SDF world [default: worlds/compare.toml]
+    pub scenario: Option<PathBuf>,
+    /// How many seeds, counted up from the scenario's own
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    pub seeds: u64,
+    /// Directory for all results [default: out/compare/NAME]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Which sensors are at work
+    #[arg(long, value_enum, value_name = "WHICH", value_delimiter = ',', num_args = 0..=2, default_values_t = [Sensor::Laser, Sensor::Sonar])]
+    pub sensors: Vec<Sensor>,
+    /// Seeds at a time [default: as many as there are processors]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Leave out view.rrd, the first seed with both sensors for the viewer
+    #[arg(long)]
+    pub no_recording: bool,
+    /// Print one JSON object on stdout instead of a summary on stderr
+    #[arg(long)]
+    pub json: bool,
+    /// Where else `model://` is looked up
+    #[arg(long, value_name = "DIR")]
+    pub model_path: Vec<PathBuf>,
+}
+
+/// A sensor by its name on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Sensor {
+    /// The range finder.
+    Laser,
+    /// The ultrasonic ring.
+    Sonar,
+}
+
+/// Runs the command.
+pub fn run(options: Options) -> Result<Exit> {
+    let path = options.scenario.clone().unwrap_or_else(|| PathBuf::from("worlds/compare.toml"));
+    let sensors = Sensors {
+        laser: options.sensors.contains(&Sensor::Laser),
+        ultrasonic: options.sensors.contains(&Sensor::Sonar),
+    };
+    let sensors = sensors.validated().map_err(|fault| Fault { what: "--sensors".into(), ..fault })?;
+    let scenario = Scenario::load(&path, &options.model_path)?;
+    let dir = options.out.clone().unwrap_or_else(|| Path::new("out/compare").join(&scenario.name));
+    let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    let fingerprint = fingerprint(&scenario, sensors);
+    let seeds_dir = dir.join("seeds");
+    let plan = Plan {
+        scenario: &scenario,
+        fingerprint: &fingerprint,
+        seeds: options.seeds,
+        sensors,
+        threads,
+        dir: &seeds_dir,
+    };
+    let stop = interrupted();
+    let bar = progress_bar(Some(1000));
+    bar.set_message(format!("{} seeds", options.seeds));
+    let outcome = run_all(&plan, stop, &|thousandths| bar.set_position(thousandths));
+    bar.finish_and_clear();
+    let outcome = outcome?;
+    for fault in &outcome.redone {
+        eprintln!("metromap: done again: {fault}");
+    }
+    if outcome.trials.is_empty() {
+        eprintln!("stopped with {} of {} seeds done: the same command goes on", outcome.done, options.seeds);
+        return Ok(if stop_requested() { Exit::Lossy } else { Exit::Done });
+    }
+    let found = sum_up(&scenario, &fingerprint, sensors, &outcome.trials)?;
+    let pictures = outcome.trials.iter().find_map(|trial| trial.pictures.clone()).unwrap_or_default();
+    let mut value =
+        serde_json::to_value(&found).map_err(|e| Fault::new("comparison", e, "numbers that JSON can hold"))?;
+    value["verdict"] = verdict(&found).into();
+    let files = ["compare.json", "compare.csv", "report.html", "view.rrd"].map(|name| dir.join(name));
+    if !options.no_recording && !record(&files[3], &scenario_of(&scenario, scenario.seed, sensors), &fingerprint)? {
+        eprintln!("stopped before the recording was whole: the same command goes on");
+        return Ok(Exit::Lossy);
+    }
+    value["files"] = files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().into();
+    let texts = [format!("{value:#}\n"), csv(&found), page(&found, &pictures, "")?];
+    for (file, text) in files.iter().zip(&texts) {
+        write_whole(file, text.as_bytes())?;
+    }
+    value["redone"] = outcome.redone.len().into();
+    if options.json {
+        // A reader that has gone away is no error.
+        let _ = writeln!(std::io::stdout(), "{value}");
+        return Ok(Exit::Done);
+    }
+    for sentence in verdict(&found) {
+        eprintln!("{sentence}");
+    }
+    eprintln!("open {}", files[2].display());
+    Ok(Exit::Done)
+}
+
+/// Drives the first seed once more into a file for the viewer, unless it is there already; whether it is whole.
+fn record(path: &Path, scenario: &Scenario, fingerprint: &str) -> Result<bool> {
+    let mark = path.with_extension("of");
+    if path.exists() && std::fs::read_to_string(&mark).is_ok_and(|of| of == fingerprint) {
+        return Ok(true);
+    }
+    let beside = path.with_extension("part");
+    let mut simulation = Simulation::new(scenario)?;
+    let mut judge = Judge::new(&scenario.scene, scenario.pipeline.maps.grid.voxel_m);
+    let mut begin = start(&scenario.name, &scenario.rig);
+    begin.scene = simulation.pictures();
+    begin.transducers = simulation.transducers();
+    begin.metadata.push(("seed".into(), scenario.seed.to_string()));
+    let sinks: Vec<Box<dyn Sink>> = vec![Box::new(RerunSink::new(&[Target::Save(beside.clone())])?)];
+    let pipeline = Pipeline::new(scenario.rig.clone(), scenario.pipeline.clone())?;
+    let mut session = Session::begin(pipeline, begin, sinks, Some(1000))?;
+    session.progress(0, "one seed for the viewer");
+    let driven = drive(&mut session, &mut simulation, &mut judge, false);
+    let failed = session.finish();
+    driven?;
+    if let Some(fault) = failed.into_iter().next() {
+        return Err(fault);
+    }
+    if stop_requested() {
+        return Ok(false);
+    }
+    std::fs::rename(&beside, path).map_err(|e| Fault::io(path, &e))?;
+    write_whole(&mark, fingerprint.as_bytes())?;
+    Ok(true)
+}

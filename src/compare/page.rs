@@ -1,0 +1,336 @@
+//! The report: one page that needs no network.
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::layers::Picture;
+use super::statistics::{Rate, Value};
+use super::summary::{ClassResult, Comparison};
+use super::verdict::verdict;
+use crate::fault::{Fault, Result};
+use crate::maps::PlanView;
+use crate::report::html;
+use crate::report::{Plot, Series, Style, escaped};
+use crate::sonar::{BIN_M, RangeStatistics};
+
+/// What the models leave out, said to whoever reads the report.
+const LIMITS: [&str; 10] = [
+    "Both sensors are models. The ring's echoes come from closed forms for pistons, mirrors, edges and round bodies; edges that \
+     sound meets twice, draughts and the fading of rough echoes are left out.",
+    "The laser's images leave out light between matt surfaces and lines seen in a mirror; direct sun lies on a part of the floor \
+     as bright whichever way a surface faces.",
+    "Glass lets light through as if it were not there; of its mirror images only the first bounce is drawn.",
+    "A person is three cylinders that glide along: no legs that swing, no clothes that hang.",
+    "The robot drives blind to its maps, so that both sensors are asked about the same way; it does not avoid anything.",
+    "Seeds change noise, odometry, the air's temperature, and the way by some centimetres; not the world. The intervals are for \
+     this world, not for all rooms.",
+    "Only what lies ahead counts, where the finder looks while driving. The ring sees all around, which the maps show and the \
+     detection rates do not.",
+    "A reading explains itself by any surface within the tolerance, also by chance, and also by one that is hidden.",
+    "Power is the data sheets' for the ring's modules and an estimate for the finder; computers are left out.",
+    "The laser's maps are made while driving, three views of six lines; standing still it would see more.",
+];
+
+/// The page. `pictures`: truth and the sensors' maps of one seed.
+///
+/// # Errors
+/// A picture that is damaged.
+pub fn page(found: &Comparison, pictures: &[Picture], extra: &str) -> Result<String> {
+    let mut body = format!("<h1>{}</h1>", escaped(&format!("Laser against ultrasonic: {}", found.name)));
+    let time = found.sim_s.map_or("–".into(), |v| format!("{:.0}", v.value));
+    let way = found.travel_m.map_or("–".into(), |v| format!("{:.1}", v.value));
+    let lead = format!(
+        "One robot with both sensors drove the same way in the same seconds: {} seeds of {time} s and {way} m each. What each \
+         said was held against what truly was there.",
+        found.seeds.len()
+    );
+    body += &format!("<p>{}</p><ul class=\"verdict\">", escaped(&lead));
+    for sentence in verdict(found) {
+        let (head, rest) = sentence.split_once(": ").unwrap_or(("", &sentence));
+        let head = if head.is_empty() { String::new() } else { format!("<b class=\"note\">{}:</b> ", escaped(head)) };
+        body += &format!("<li>{head}{}</li>", escaped(rest));
+    }
+    body += "</ul>";
+    body += &detection_table(found);
+    body += &errors_table(found);
+    body += &by_distance(found);
+    body += &error_plots(found);
+    body += &maps(found, pictures)?;
+    body += &needs(found);
+    body += extra;
+    body += &definitions(found);
+    Ok(html::page(&format!("Laser against ultrasonic: {}", found.name), &body))
+}
+
+fn percent(rate: Option<f64>, ci95: Option<[f64; 2]>) -> String {
+    let Some(rate) = rate else { return "not measured".into() };
+    let ends = ci95.map_or(String::new(), |[low, high]| format!(" ({:.0}–{:.0})", low * 100.0, high * 100.0));
+    format!("{:.0}{ends}", rate * 100.0)
+}
+
+fn share(rate: Option<Rate>) -> String {
+    percent(rate.map(|r| r.rate), rate.and_then(|r| r.ci95))
+}
+
+fn measured(value: Option<Value>, unit: f64, decimals: usize, none: &str) -> String {
+    let Some(Value { value, ci95 }) = value else { return none.into() };
+    let ends =
+        ci95.map_or(String::new(), |[low, high]| format!(" ({:.decimals$}–{:.decimals$})", low * unit, high * unit));
+    format!("{:.decimals$}{ends}", value * unit)
+}
+
+fn result<'a>(found: &'a Comparison, class: &str, sensor: &str) -> Option<&'a ClassResult> {
+    found.classes.get(class)?.get(sensor)
+}
+
+fn detection_table(found: &Comparison) -> String {
+    let rows = found.order.iter().map(|class| {
+        let rate = |sensor| result(found, class, sensor).map_or("–".into(), |r| percent(r.rate, r.ci95));
+        let tries = found.classes.get(class).and_then(|by| by.values().next()).map_or(0, |r| r.opportunities);
+        let difference = found.differences.iter().find(|d| d.what == *class && d.measure == "detection rate");
+        let p = difference
+            .and_then(|d| d.p_holm)
+            .map_or("–".into(), |p| if p < 0.001 { "<0.001".into() } else { format!("{p:.3}") });
+        let winner = match difference.and_then(|d| d.winner) {
+            Some(winner) => winner.to_string(),
+            None => "–".into(),
+        };
+        [class.clone(), tries.to_string(), rate("laser"), rate("ultrasonic"), winner, p]
+    });
+    String::from("<h2>Detection</h2>")
+        + "<p>Share of opportunities in which the obstacle was seen, in per cent, with 95 % intervals over seeds.</p>"
+        + &html::table(["class", "opportunities", "laser [%]", "ultrasonic [%]", "better", "p (Holm)"], rows)
+}
+
+fn errors_table(found: &Comparison) -> String {
+    let rows = found.order.iter().flat_map(|class| {
+        let by = found.classes.get(class).into_iter().flatten();
+        by.map(move |(sensor, r)| {
+            let never = if r.opportunities == 0 { "not measured" } else { "mostly never" };
+            [
+                format!("{class}, {sensor}"),
+                measured(r.range_rmse_m, 1e3, 0, "–"),
+                measured(r.bearing_rmse_rad, 180.0 / std::f64::consts::PI, 1, "–"),
+                measured(r.first_detection_m, 1.0, 1, never),
+                measured(r.first_detection_s, 1.0, 1, never),
+                share(r.false_share),
+            ]
+        })
+    });
+    String::from("<h2>How well, how early, and how often false</h2>")
+        + "<p>RMS errors over sightings; distance and time of the first sighting are medians over encounters; false are reports \
+           in the obstacle's direction that no surface explains.</p>"
+        + &html::table(
+            ["class, sensor", "range error [mm]", "bearing error [°]", "first seen at [m]", "after [s]", "false [%]"],
+            rows,
+        )
+}
+
+fn by_distance(found: &Comparison) -> String {
+    let plots = found.order.iter().filter_map(|class| {
+        let mut plot = Plot::new(&capital(class), "distance", "m", "detection rate", "%").from_zero();
+        let mut any = false;
+        for (colour, sensor) in ["laser", "ultrasonic"].into_iter().enumerate() {
+            let Some(r) = result(found, class, sensor).filter(|r| !r.by_distance.is_empty()) else { continue };
+            any = true;
+            let off = 0.04 * colour as f64 - 0.02;
+            let middle = |bin: &super::DistanceRate| (bin.from_m + bin.to_m) / 2.0 + off;
+            let line = r.by_distance.iter().map(|bin| (middle(bin), bin.rate.rate * 100.0)).collect();
+            let bars = r.by_distance.iter().filter_map(|bin| {
+                let [low, high] = bin.rate.ci95?;
+                Some([(middle(bin), low * 100.0), (middle(bin), high * 100.0)])
+            });
+            plot = plot.with(Series::new(sensor, Style::Line, line).coloured(colour));
+            plot = plot.with(Series::new("", Style::Segments, bars.flatten().collect()).coloured(colour));
+        }
+        // An invisible point keeps every plot's height at 100 %.
+        plot = plot.with(
+            Series::new("", Style::Segments, vec![(1.0, 0.0), (1.0, 0.0), (4.0, 100.0), (4.0, 100.0)]).coloured(5),
+        );
+        any.then(|| html::drawing(&plot))
+    });
+    String::from("<h2>Detection by distance</h2>")
+        + "<p>Bins of half a metre; bars are 95 % intervals. Where a line is missing, the obstacle was never in play at that \
+           distance.</p>"
+        + &html::even_gallery(plots)
+}
+
+fn error_plots(found: &Comparison) -> String {
+    let plot = |title: &str, unit: &str, scale: f64, pick: fn(&ClassResult) -> Option<Value>| {
+        let mut plot = Plot::new(title, "number of the class in the tables above", "", "RMS error", unit).log_y();
+        for (colour, sensor) in ["laser", "ultrasonic"].into_iter().enumerate() {
+            let off = 0.2 * colour as f64 - 0.1;
+            let numbered = found.order.iter().enumerate();
+            let values: Vec<(f64, Value)> = numbered
+                .filter_map(|(i, class)| Some((i as f64 + 1.0 + off, pick(result(found, class, sensor)?)?)))
+                .collect();
+            let dots = values.iter().map(|(x, v)| (*x, v.value * scale)).collect();
+            let bars = values.iter().filter_map(|(x, v)| v.ci95.map(|[l, h]| [(*x, l * scale), (*x, h * scale)]));
+            plot = plot.with(Series::new(sensor, Style::Dots, dots).coloured(colour));
+            plot = plot.with(Series::new("", Style::Segments, bars.flatten().collect()).coloured(colour));
+        }
+        html::drawing(&plot)
+    };
+    let key: Vec<String> = found.order.iter().enumerate().map(|(i, class)| format!("{} {class}", i + 1)).collect();
+    String::from("<h2>Errors of range and bearing</h2>")
+        + &html::even_gallery([
+            plot("Range", "mm", 1e3, |r| r.range_rmse_m),
+            plot("Bearing", "°", 180.0 / std::f64::consts::PI, |r| r.bearing_rmse_rad),
+        ])
+        + &format!("<p><small>{}</small></p>", escaped(&key.join(" · ")))
+}
+
+fn maps(found: &Comparison, pictures: &[Picture]) -> Result<String> {
+    let rows = super::MAPS.iter().filter_map(|name| {
+        let r = found.map.get(name)?;
+        let percent = |value: Option<Value>| measured(value, 100.0, 1, "not measured");
+        Some([
+            (*name).to_string(),
+            measured(r.iou, 1.0, 2, "not measured"),
+            percent(r.precision),
+            percent(r.recall),
+            percent(r.free_space_error),
+            percent(r.free_blocked),
+            percent(r.free_found),
+        ])
+    });
+    let mut out = String::from("<h2>Maps</h2>")
+        + "<p>Against what was within reach of the robot's way: cells of 5 cm, right within one cell; means over seeds with 95 % \
+           intervals. “Free, but not so” is the share of a map's free cells that a robot would run into, “blocked, but free” the share of free cells where it would not dare to go.</p>"
+        + &html::table(
+            [
+                "map",
+                "IoU",
+                "precision [%]",
+                "recall [%]",
+                "free, but not so [%]",
+                "blocked, but free [%]",
+                "free found [%]",
+            ],
+            rows,
+        );
+    let names = ["Truth: what the robot could have known", "Laser", "Ultrasonic", "Fused"];
+    let names = names.into_iter().take(if pictures.len() == 2 { 2 } else { 4 });
+    let views = pictures.iter().map(Picture::view).collect::<Result<Vec<_>>>()?;
+    let Some(truth) = views.first() else { return Ok(out) };
+    let drawn = views.iter().zip(names).map(|(view, name)| drawn(view, truth, name)).collect::<Result<Vec<_>>>()?;
+    out += &html::even_gallery(drawn);
+    out += "<p><small>Black: occupied. White: free. Grey: unknown. One seed; x to the right, y up, the same part of the world in \
+            each.</small></p>";
+    Ok(out)
+}
+
+/// A plan view in the frame of the truth, y up.
+fn drawn(view: &PlanView, truth: &PlanView, name: &str) -> Result<String> {
+    let shift: [i64; 2] =
+        std::array::from_fn(|axis| ((truth.origin_m[axis] - view.origin_m[axis]) / truth.resolution_m).round() as i64);
+    let mut levels = Vec::with_capacity(truth.cells.len());
+    for row in (0..truth.height as i64).rev() {
+        for column in 0..truth.width as i64 {
+            let (x, y) = (column + shift[0], row + shift[1]);
+            let inside = (0..view.width as i64).contains(&x) && (0..view.height as i64).contains(&y);
+            let cell = if inside { view.cells[y as usize * view.width + x as usize] } else { -1 };
+            levels.push(match cell {
+                i8::MIN..0 => 190,
+                0..50 => 255,
+                _ => 0,
+            });
+        }
+    }
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(&levels, truth.width as u32, truth.height as u32, ExtendedColorType::L8)
+        .map_err(|e| Fault::new("picture of a map", e, "a map that PNG can hold"))?;
+    let size = [truth.width, truth.height];
+    let [w, h] = size.map(|cells| cells as f64 * truth.resolution_m);
+    Ok(html::picture(&format!("{name} ({w:.1} x {h:.1} m)"), &png, size))
+}
+
+fn needs(found: &Comparison) -> String {
+    let rows = found.needs.iter().map(|(sensor, n)| {
+        [
+            (*sensor).to_string(),
+            measured(n.power_w, 1.0, 1, "–"),
+            measured(n.kb_per_s, 1.0, 1, "–"),
+            measured(n.line_kb_per_s, 1.0, 1, "–"),
+            measured(n.per_s, 1.0, 1, "–"),
+        ]
+    });
+    String::from("<h2>What they need</h2>")
+        + &html::table(
+            ["sensor", "power [W]", "as sent [kB/s]", "as extracted lines [kB/s]", "images or pings [1/s]"],
+            rows,
+        )
+}
+
+/// Two sets of ultrasonic readings beside each other: how often there is no echo, how often they jump, and their histograms.
+pub fn ring_against_readings(real: &RangeStatistics, simulated: &RangeStatistics) -> String {
+    let percent = |rate: Option<f64>| rate.map_or("not measured".into(), |rate| format!("{:.1}", rate * 100.0));
+    let row = |name: &str, s: &RangeStatistics| {
+        [name.to_string(), s.readings.to_string(), percent(s.dropout_rate()), percent(s.jump_rate())]
+    };
+    let limit = format!("at the limit of {:.1} m [%]", real.limit_m);
+    let histogram = |title: &str, x: &str, pick: fn(&RangeStatistics) -> (&Vec<u64>, u64)| {
+        let mut plot = Plot::new(title, x, "m", "share", "%").from_zero();
+        for (name, s) in [("real robot", real), ("simulated", simulated)] {
+            let (bins, of) = pick(s);
+            let share = |count: u64| 100.0 * count as f64 / of.max(1) as f64;
+            let steps = bins
+                .iter()
+                .enumerate()
+                .flat_map(|(i, count)| [i, i + 1].map(|edge| (edge as f64 * BIN_M, share(*count))));
+            plot = plot.with(Series::new(name, Style::Line, steps.collect()));
+        }
+        html::drawing(&plot)
+    };
+    String::from("<h2>The ring against real readings</h2>")
+        + &html::table(
+            ["readings of", "count", &limit, "steps of more than 1 m [%]"],
+            [row("the real robot", real), row("the simulated one", simulated)],
+        )
+        + &html::even_gallery([
+            histogram("Ranges", "range", |s| (&s.ranges, s.readings)),
+            histogram("Changes from one reading to the next", "change", |s| (&s.changes, s.steps)),
+        ])
+}
+
+fn definitions(found: &Comparison) -> String {
+    let t = &found.terms;
+    let said = [
+        format!("In play: some part of the obstacle is within {} m and {}° of the robot's heading, and not hidden.", t.range_m, t.sector_deg),
+        format!("Opportunity: an encounter while the obstacle's nearest visible place was within one bin of half a metre, for {} s at least, and not farther than {} m, the nominal range of both; the plots by distance and the first sightings reach farther.", t.bin_s_min, t.nominal_m),
+        format!(
+            "Detected: a reading says that there is something within {} m of a visible place of the obstacle. A reading is, for the laser, \
+             a point more than {} m over the floor (three of one capture are asked for), for the ring the arc of a cone at the range of the first \
+             echo. A drop-off is detected where a line of sight passes the floor's height there; a narrow gap by a reading from behind it.",
+            t.tolerance_m, t.clearance_m
+        ),
+        "False obstacle: a report where no obstacle has a surface within the tolerance. A report is a run of three or more neighbouring points \
+         of the laser's, or a range of the ring's."
+            .into(),
+        "Errors of range and bearing: of a sighting against the place where its light or sound truly came from, seen from the sensor.".into(),
+        format!("“Robot fast”: faster than {} m/s.", t.fast_m_s),
+        "Intervals: 95 %, over seeds. Rates: Wilson's with as many independent tries as the spread between seeds leaves. All else: percentiles \
+         of a bootstrap over seeds."
+            .into(),
+        "Better: the differences, paired over seeds, are tested by flipping their signs, and the probabilities corrected for the number of \
+         comparisons by Holm's method."
+            .into(),
+        "Not measured: there was no opportunity. It never means 0.".into(),
+    ];
+    let list = |items: &mut dyn Iterator<Item = String>| {
+        format!("<ol>{}</ol>", items.map(|item| format!("<li>{}</li>", escaped(&item))).collect::<String>())
+    };
+    format!(
+        "<h2>What the words mean</h2>{}<h2>What the models leave out</h2>{}<p><small>metromap {}, {}</small></p>",
+        list(&mut said.into_iter()),
+        list(&mut LIMITS.iter().map(|text| (*text).to_string())),
+        escaped(found.version),
+        escaped(&found.fingerprint[..found.fingerprint.len().min(12)])
+    )
+}
+
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+}

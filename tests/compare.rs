@@ -1,0 +1,95 @@
+//! `metromap compare` from outside: what it writes, that it goes on after kill -9, what it refuses.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use serde_json::Value;
+
+const SMALL: &str = "name = 'small'\nseed = 3\nduration_s = 1.5\n[world]\nground = true\n[[world.cylinder]]\nname = 'bin'\n\
+    position = [2.0, 0.0]\nradius = 0.15\nheight = 0.5\n[robot]\nstart = { x_m = 0, y_m = 0, yaw_deg = 0 }\n\
+    [[mission]]\ngo_to = [1.0, 0.0]\nspeed_m_s = 0.3\n";
+
+fn compare(world: &Path, out: &Path, more: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metromap"));
+    command.arg("compare").arg(world).arg("--out").arg(out).args(more);
+    command.env_remove("RUST_LOG");
+    command
+}
+
+fn written(dir: &Path, text: &str) -> std::path::PathBuf {
+    let world = dir.join("small.toml");
+    std::fs::write(&world, text).unwrap();
+    world
+}
+
+fn done(mut command: Command) -> Output {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+fn refused(mut command: Command) -> String {
+    let output = command.output().unwrap();
+    assert!(!output.status.success());
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn a_comparison_killed_and_started_again_writes_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let world = written(dir.path(), SMALL);
+    let (once, twice) = (dir.path().join("once"), dir.path().join("twice"));
+    let output = done(compare(&world, &once, &["--seeds", "4", "--threads", "2", "--json"]));
+    let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(printed["seeds"], serde_json::json!([3, 4, 5, 6]));
+    assert!(printed["classes"]["obstacle"]["laser"]["opportunities"].as_u64().unwrap() > 0);
+    assert!(printed["verdict"].as_array().unwrap().len() > 3);
+    let html = std::fs::read_to_string(once.join("report.html")).unwrap();
+    assert!(!html.contains("http://") || !html.contains("src=\"http"), "needs no network");
+    assert!(once.join("view.rrd").exists());
+
+    let mut child = compare(&world, &twice, &["--seeds", "4", "--threads", "1", "--no-recording"])
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    while !twice.join("seeds/seed_3.json").exists() && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    done(compare(&world, &twice, &["--seeds", "4", "--threads", "2", "--no-recording"]));
+    let bytes = |out: &Path, name: &str| std::fs::read(out.join(name)).unwrap();
+    for name in ["compare.csv", "report.html", "seeds/seed_3.json", "seeds/seed_6.json"] {
+        assert!(bytes(&once, name) == bytes(&twice, name), "{name}");
+    }
+}
+
+#[test]
+fn a_world_with_nothing_in_it_is_not_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let empty =
+        SMALL.replace("[[world.cylinder]]\nname = 'bin'\nposition = [2.0, 0.0]\nradius = 0.15\nheight = 0.5\n", "");
+    assert!(!empty.contains("cylinder"));
+    let world = written(dir.path(), &empty.replace("duration_s = 1.5", "duration_s = 0.5"));
+    let output = done(compare(&world, &dir.path().join("out"), &["--seeds", "2", "--json", "--no-recording"]));
+    let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(printed["classes"], serde_json::json!({}));
+    assert!(printed["verdict"][0].as_str().unwrap().contains("No obstacle came into play"));
+    assert!(printed["map"]["laser"]["recall"].is_null(), "{}", printed["map"]);
+}
+
+#[test]
+fn what_cannot_be_compared_is_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let world = written(dir.path(), SMALL);
+    let out = dir.path().join("out");
+    assert!(refused(compare(&world, &out, &["--seeds", "0"])).contains("--seeds: found 0, expected 1 to 10000"));
+    assert!(refused(compare(&world, &out, &["--sensors"])).contains("--sensors: found none"));
+    let world =
+        written(dir.path(), &format!("{SMALL}[[compare.target]]\nname = 'a'\nclass = 'b'\nbodies = ['gone']\n"));
+    let fault = refused(compare(&world, &out, &[]));
+    assert!(fault.contains("small.toml") && fault.contains("compare.target `a`: bodies: found `gone`"), "{fault}");
+    let world = written(dir.path(), &format!("{SMALL}[compare]\nrange_m = 0\n"));
+    assert!(refused(compare(&world, &out, &[])).contains("small.toml:18: compare.range_m: found 0"));
+}
