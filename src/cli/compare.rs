@@ -1,6 +1,5 @@
 //! `metromap compare`: laser against ultrasonic, many seeds, one report.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -9,6 +8,7 @@ use super::Exit;
 use super::output::start;
 use super::run::drive;
 use super::session::{Session, interrupted, progress_bar, stop_requested};
+use super::tell::{answer, make_out, tell};
 use crate::compare::{Plan, Sensors, csv, fingerprint, page, run_all, scenario_of, sum_up, verdict, write_whole};
 use crate::fault::{Fault, Result};
 use crate::pipeline::Pipeline;
@@ -77,6 +77,7 @@ pub fn run(options: Options) -> Result<Exit> {
     let scenario = Scenario::load(&path, &options.model_path)?;
     let dir = options.out.clone().unwrap_or_else(|| Path::new("out/compare").join(&scenario.name));
     let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    make_out(&dir)?;
     let fingerprint = fingerprint(&scenario, sensors);
     let seeds_dir = dir.join("seeds");
     let plan = Plan {
@@ -94,10 +95,10 @@ pub fn run(options: Options) -> Result<Exit> {
     bar.finish_and_clear();
     let outcome = outcome?;
     for fault in &outcome.redone {
-        eprintln!("metromap: done again: {fault}");
+        tell!("metromap: done again: {fault}");
     }
     if outcome.trials.is_empty() {
-        eprintln!("stopped with {} of {} seeds done: the same command goes on", outcome.done, options.seeds);
+        tell!("stopped with {} of {} seeds done: the same command goes on", outcome.done, options.seeds);
         return Ok(if stop_requested() { Exit::Lossy } else { Exit::Done });
     }
     let found = sum_up(&scenario, &fingerprint, sensors, &outcome.trials)?;
@@ -106,25 +107,24 @@ pub fn run(options: Options) -> Result<Exit> {
         serde_json::to_value(&found).map_err(|e| Fault::new("comparison", e, "numbers that JSON can hold"))?;
     value["verdict"] = verdict(&found).into();
     let files = ["compare.json", "compare.csv", "report.html", "view.rrd"].map(|name| dir.join(name));
-    if !options.no_recording && !record(&files[3], &scenario_of(&scenario, scenario.seed, sensors), &fingerprint)? {
-        eprintln!("stopped before the recording was whole: the same command goes on");
-        return Ok(Exit::Lossy);
-    }
     value["files"] = files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().into();
     let texts = [format!("{value:#}\n"), csv(&found), page(&found, &pictures, "")?];
     for (file, text) in files.iter().zip(&texts) {
         write_whole(file, text.as_bytes())?;
     }
+    if !options.no_recording && !record(&files[3], &scenario_of(&scenario, scenario.seed, sensors), &fingerprint)? {
+        tell!("stopped before the recording was whole: the same command goes on");
+        return Ok(Exit::Lossy);
+    }
     value["redone"] = outcome.redone.len().into();
     if options.json {
-        // A reader that has gone away is no error.
-        let _ = writeln!(std::io::stdout(), "{value}");
+        answer(&value)?;
         return Ok(Exit::Done);
     }
     for sentence in verdict(&found) {
-        eprintln!("{sentence}");
+        tell!("{sentence}");
     }
-    eprintln!("open {}", files[2].display());
+    tell!("open {}", files[2].display());
     Ok(Exit::Done)
 }
 
@@ -134,7 +134,7 @@ fn record(path: &Path, scenario: &Scenario, fingerprint: &str) -> Result<bool> {
     if path.exists() && std::fs::read_to_string(&mark).is_ok_and(|of| of == fingerprint) {
         return Ok(true);
     }
-    let beside = path.with_extension("part");
+    let beside = path.with_extension("part.rrd");
     let mut simulation = Simulation::new(scenario)?;
     let mut judge = Judge::new(&scenario.scene, scenario.pipeline.maps.grid.voxel_m);
     let mut begin = start(&scenario.name, &scenario.rig);

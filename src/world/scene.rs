@@ -322,7 +322,7 @@ mod tests {
             (format!("{body}mass_kg = '2'\n"), "test.toml:6: mass_kg: found string \"2\", expected f64"),
             (format!("{body}material = 'oak'\n"), "test.toml:6: world.box `a`: material: found `oak`, expected a table"),
             (format!("{body}{}", body.replace("[world]\n", "")), "test.toml:7: name: found `a`, already used in line 3"),
-            (format!("{body}[world.material.m]\nalbedo = 0.7\ngloss = 0.4\n"), "test.toml:8: material `m`: albedo + gloss: found 1.1"),
+            (format!("{body}[world.material.m]\nalbedo = 0.7\ngloss = 0.4\n"), "test.toml:8: material `m`: albedo + gloss + transmission: found 1.1"),
             (format!("{body}[world.material.m]\nalbedo = 1.2\n"), "test.toml:7: material `m`: albedo: found 1.2"),
             (format!("{body}[world.material.m]\nshiny = 1\n"), "test.toml:7: key `shiny`"),
             (format!("{body}[world.material.m]\ncolour = [1, 2, 300]\n"), "test.toml:7: colour: found integer `300`, expected u8"),

@@ -329,7 +329,7 @@ fn uuid_bytes(number: u8) -> [u8; 16] {
 
 #[cfg(test)]
 mod tests {
-    use rerun::external::re_chunk::Chunk;
+    use rerun::log::Chunk;
 
     use super::*;
 
