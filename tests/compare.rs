@@ -91,5 +91,5 @@ fn what_cannot_be_compared_is_refused_by_name() {
     let fault = refused(compare(&world, &out, &[]));
     assert!(fault.contains("small.toml") && fault.contains("compare.target `a`: bodies: found `gone`"), "{fault}");
     let world = written(dir.path(), &format!("{SMALL}[compare]\nrange_m = 0\n"));
-    assert!(refused(compare(&world, &out, &[])).contains("small.toml:18: compare.range_m: found 0"));
+    assert!(refused(compare(&world, &out, &[])).contains("small.toml:17: compare.range_m: found 0"));
 }

@@ -14,6 +14,7 @@ use metromap::record::messages::{
     Header, Message, OccupancyGrid, Odometry, Pose, PoseWithCovariance, Range, TfMessage, TransformStamped,
 };
 use metromap::record::{cdr, topics};
+use metromap::sonar::{Ring, Targets};
 use metromap::sources::replay::{Input, Replay};
 use metromap::sources::{Scenario, Simulation};
 use metromap::time::Stamp;
@@ -291,4 +292,17 @@ fn ranges_without_odometry_are_refused_by_name() {
     assert!(fault.contains("none of them can be placed") && fault.contains("odometry"), "{fault}");
     let fault = Replay::open(&path, true).err().unwrap().to_string();
     assert!(fault.contains("/finder/capture"), "{fault}");
+}
+
+#[test]
+fn a_pane_of_glass_square_to_the_beam_is_heard() {
+    let scenario = Scenario::load(&Path::new(ROOT).join("worlds/compare.toml"), &[]).unwrap();
+    let targets = Targets::new(&scenario.scene).unwrap();
+    for (distance, yaw_deg) in [(1.0, 0.0), (1.5, 3.0), (2.0, -3.0), (2.5, 0.0), (3.0, 2.0)] {
+        let mut ring = Ring::new(scenario.sonar.unwrap().noiseless(), 0).unwrap();
+        let pose = Transform::planar(-5.0, -2.945 + distance, (-90.0_f64 + yaw_deg).to_radians());
+        let ping = ring.fire(Stamp(0), &pose, &targets).unwrap().remove(0);
+        let cause = ping.causes.first().map(|cause| targets.name(ping.echoes[*cause].body).unwrap());
+        assert_eq!(cause, Some("pane"), "{distance} {:?} {:#?}", ping.reading, ping.echoes);
+    }
 }

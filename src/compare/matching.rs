@@ -1,6 +1,7 @@
 //! When a sensor has seen something: the same rule for both. A reading says that there is a surface somewhere in a set of
 //! places (a point of the laser's; the arc of an ultrasonic cone at its range), and it is right about an obstacle if a
-//! visible place of it is within the tolerance of that set.
+//! visible place of it is within the tolerance of that set, and if its light or sound truly came from there: a cone is wide,
+//! and something else at the same range is no sighting.
 
 use super::stage::{V3, in_cone, wrapped};
 use crate::sources::Kind;
@@ -56,24 +57,24 @@ pub(super) struct Terms {
     pub clearance_m: f64,
 }
 
+impl Terms {
+    fn near(&self, at: &V3, places: &[V3]) -> bool {
+        places.iter().any(|place| (place - at).norm() <= self.tolerance_m)
+    }
+}
+
 impl Slit {
     /// Whether the slit shows what has these visible places.
     pub fn sees(&self, places: &[V3], line: &[Vec<f64>], terms: &Terms) -> Option<Seen> {
-        let near = |at: &V3| places.iter().any(|place| (place - at).norm() <= terms.tolerance_m);
-        let matched: Vec<&LaserPoint> = match terms.kind {
-            Kind::Obstacle => self.points.iter().filter(|p| p.at.z > terms.clearance_m && near(&p.at)).collect(),
-            Kind::Drop => {
-                // A point under the floor: where its line of sight passes the floor's height there is none.
-                let below = self.points.iter().filter(|p| p.at.z < -terms.clearance_m);
-                below.filter(|p| self.at_height(&p.at, 0.0).is_some_and(|at| near(&at))).collect()
-            }
-            Kind::Opening => {
-                let behind = |p: &&LaserPoint| {
-                    crossing(&self.eye, &p.at, line).is_some_and(|at| (p.at - at).xy().norm() >= BEHIND_M)
-                };
-                self.points.iter().filter(behind).collect()
-            }
+        let near = |at: &V3| terms.near(at, places);
+        let shows = |at: &V3| match terms.kind {
+            Kind::Obstacle => at.z > terms.clearance_m && near(at),
+            // A point under the floor: where its line of sight passes the floor's height there is none.
+            Kind::Drop => at.z < -terms.clearance_m && self.at_height(at, 0.0).is_some_and(|at| near(&at)),
+            Kind::Opening => is_behind(&self.eye, at, line),
         };
+        let both = |p: &&LaserPoint| shows(&p.at) && p.truth.is_some_and(|truth| shows(&truth));
+        let matched: Vec<&LaserPoint> = self.points.iter().filter(both).collect();
         if matched.len() < POINTS_MIN {
             return None;
         }
@@ -115,20 +116,19 @@ impl Cone {
     /// Whether the reading shows what has these visible places.
     pub fn sees(&self, places: &[V3], line: &[Vec<f64>], terms: &Terms) -> Option<Seen> {
         let hit = |at: &V3| in_cone(at, &self.from, &self.axis, self.half_rad, self.range_m, terms.tolerance_m);
+        let truth = self.truth?;
         match terms.kind {
-            Kind::Obstacle => places.iter().any(hit).then(|| Seen {
-                error: self.truth.map(|truth| errors(&(self.axis * self.range_m), &(truth - self.from))),
-            }),
+            Kind::Obstacle => (places.iter().any(hit) && terms.near(&truth, places))
+                .then(|| Seen { error: Some(errors(&(self.axis * self.range_m), &(truth - self.from))) }),
             Kind::Drop => {
                 // No range says that there is nothing; but one of the hole's near edge would stop a robot.
                 let near = places.iter().map(|at| (at - self.from).norm()).min_by(f64::total_cmp)?;
                 let at_edge = |at: &V3| (at - self.from).norm() <= near + terms.tolerance_m;
-                places.iter().any(|at| at_edge(at) && hit(at)).then(Seen::default)
+                (places.iter().any(|at| at_edge(at) && hit(at)) && terms.near(&truth, places)).then(Seen::default)
             }
             Kind::Opening => {
                 let end = self.from + self.axis * self.range_m;
-                let at = crossing(&self.from, &end, line)?;
-                ((end - at).xy().norm() >= BEHIND_M).then(Seen::default)
+                (is_behind(&self.from, &end, line) && is_behind(&self.from, &truth, line)).then(Seen::default)
             }
         }
     }
@@ -137,6 +137,11 @@ impl Cone {
 /// How much farther, and how far to the left, a place is said to be than it truly is.
 fn errors(said: &V3, truth: &V3) -> [f64; 2] {
     [said.norm() - truth.norm(), wrapped(said.y.atan2(said.x) - truth.y.atan2(truth.x))]
+}
+
+/// Whether the way to a place passes between two posts, and ends well behind them.
+fn is_behind(from: &V3, to: &V3, line: &[Vec<f64>]) -> bool {
+    crossing(from, to, line).is_some_and(|at| (to - at).xy().norm() >= BEHIND_M)
 }
 
 /// Where the way from one place to another passes between two posts, seen from above.
@@ -178,7 +183,7 @@ mod tests {
     fn cone(bearing_deg: f64, range_m: f64) -> Cone {
         let (sin, cos) = f64::to_radians(bearing_deg).sin_cos();
         let axis = V3::new(cos, sin, 0.0);
-        let truth = Some(V3::new(2.0, 0.0, 0.4));
+        let truth = Some(V3::new(range_m, 0.0, 0.4));
         Cone { from: V3::new(0.0, 0.0, 0.4), axis, half_rad: 15_f64.to_radians(), range_m, truth }
     }
 
@@ -190,6 +195,10 @@ mod tests {
         let [range, bearing] = seen.error.unwrap();
         assert!((0.017..0.02).contains(&range) && bearing.abs() < 1e-3, "{range} {bearing}");
         assert_eq!(slit(&[[2.1, 0.0, 0.3], [2.0, 0.05, 0.3]]).sees(&place, &[], &TERMS), None);
+        // Light that truly came from elsewhere.
+        let mut stray = three.clone();
+        stray.points.iter_mut().for_each(|p| p.truth = Some(V3::new(3.0, 0.0, 0.3)));
+        assert_eq!(stray.sees(&place, &[], &TERMS), None);
         // Beyond the tolerance, and on the floor.
         assert_eq!(slit(&[[2.2, 0.0, 0.3]; 5]).sees(&place, &[], &TERMS), None);
         assert_eq!(slit(&[[2.0, 0.0, 0.04]; 5]).sees(&[V3::new(2.0, 0.0, 0.0)], &[], &TERMS), None);
@@ -200,7 +209,11 @@ mod tests {
         let place = [V3::new(2.0, 0.0, 0.4)];
         let seen = cone(10.0, 2.05).sees(&place, &[], &TERMS).unwrap();
         let [range, bearing] = seen.error.unwrap();
-        assert!((range - 0.05).abs() < 1e-9 && (bearing.to_degrees() - 10.0).abs() < 1e-9);
+        assert!(range.abs() < 1e-9 && (bearing.to_degrees() - 10.0).abs() < 1e-9);
+        // Something else at the same range, or nothing at all, is no sighting.
+        let other = Cone { truth: Some(V3::new(1.9, 0.6, 0.4)), ..cone(10.0, 2.05) };
+        assert_eq!(other.sees(&place, &[], &TERMS), None);
+        assert_eq!(Cone { truth: None, ..cone(10.0, 2.05) }.sees(&place, &[], &TERMS), None);
         assert_eq!(cone(16.0, 2.0).sees(&place, &[], &TERMS), None);
         assert_eq!(cone(0.0, 1.8).sees(&place, &[], &TERMS), None);
         assert!(cone(0.0, 1.86).sees(&place, &[], &TERMS).is_some());

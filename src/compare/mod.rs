@@ -16,8 +16,8 @@
 //! - **Opportunity**: an encounter while the obstacle's nearest visible place was within one bin of distance (0.5 m), for at
 //!   least 0.4 s in all, and not farther than the nominal range of both sensors (3 m). Rates by distance and first sightings
 //!   reach farther, as far as obstacles are in play.
-//! - **Detected**: a reading says that there is something within the tolerance (0.15 m) of a visible place of the obstacle;
-//!   three points of one capture for the laser, one range for the ring. A drop is detected where a line of sight passes the
+//! - **Detected**: a reading says that there is something within the tolerance (0.15 m) of a visible place of the obstacle,
+//!   and its light or sound truly came from there; three points of one capture for the laser, one range for the ring. A drop is detected where a line of sight passes the
 //!   floor's height within the hole, or by a range of its near edge; a way through by a reading from behind it that passes between its posts.
 //! - **False obstacle**: a report (a run of three or more neighbouring points of the laser's; a range of the ring's) where no
 //!   obstacle has any surface within the tolerance, hidden or not.

@@ -300,7 +300,7 @@ fn definitions(found: &Comparison) -> String {
         format!("In play: some part of the obstacle is within {} m and {}° of the robot's heading, and not hidden.", t.range_m, t.sector_deg),
         format!("Opportunity: an encounter while the obstacle's nearest visible place was within one bin of half a metre, for {} s at least, and not farther than {} m, the nominal range of both; the plots by distance and the first sightings reach farther.", t.bin_s_min, t.nominal_m),
         format!(
-            "Detected: a reading says that there is something within {} m of a visible place of the obstacle. A reading is, for the laser, \
+            "Detected: a reading says that there is something within {} m of a visible place of the obstacle, and its light or sound truly came from there. A reading is, for the laser, \
              a point more than {} m over the floor (three of one capture are asked for), for the ring the arc of a cone at the range of the first \
              echo. A drop-off is detected where a line of sight passes the floor's height there; a narrow gap by a reading from behind it.",
             t.tolerance_m, t.clearance_m

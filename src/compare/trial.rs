@@ -81,7 +81,8 @@ pub struct Trial {
     pub pictures: Option<Vec<Picture>>,
 }
 
-/// The scenario as a seed has it: its own noise, and a start and goals that are moved a little, the same for both sensors.
+/// The scenario as a seed has it: its own noise, and a start and goals that are moved a little and begin a little later,
+/// the same for both sensors.
 pub fn scenario_of(scenario: &Scenario, seed: u64, sensors: Sensors) -> Scenario {
     let mut own = scenario.clone();
     own.seed = seed;
@@ -98,6 +99,10 @@ pub fn scenario_of(scenario: &Scenario, seed: u64, sensors: Sensors) -> Scenario
         if let MissionStep::GoTo { to_m, .. } = step {
             to_m.iter_mut().for_each(|at| *at += off(reach));
         }
+    }
+    if !own.mission.steps.is_empty() && scenario.compare.jitter_s > 0.0 {
+        let seconds = (off(scenario.compare.jitter_s) + scenario.compare.jitter_s) / 2.0;
+        own.mission.steps.insert(0, MissionStep::Wait { seconds });
     }
     own
 }

@@ -52,10 +52,8 @@ impl<'a> Search<'a> {
         let direct = Ends { from: &a, to: &b, same, need: self.need, times: 1.0 };
         self.visit(&direct, |feature| {
             self.try_feature(&direct, feature, 1.0, 1, &mut out);
-            if let Feature::Face(face) = feature
-                && same
-            {
-                self.rough(&a, face, &mut out);
+            if same {
+                self.rough(&a, feature, &mut out);
             }
         });
         if self.order > 1 {
@@ -224,8 +222,8 @@ impl<'a> Search<'a> {
         loss(ends.from) * loss(ends.to)
     }
 
-    fn rough(&self, end: &End, face: &Face, out: &mut Vec<Heard>) {
-        for bounce in self.footprint.layers(self.it, end, face) {
+    fn rough(&self, end: &End, feature: &Feature, out: &mut Vec<Heard>) {
+        for bounce in self.footprint.layers(self.it, end, feature) {
             if bounce.share.total().norm() >= self.need.at(bounce.way_m) && end.sees(self.targets, &bounce.place) {
                 out.push(Heard { bounce, surfaces: 1 });
             }

@@ -67,6 +67,8 @@ pub struct CompareParams {
     pub jitter_m: f64,
     /// ... and turns the start by up to this [°].
     pub jitter_deg: f64,
+    /// ... and begins its mission up to this later [s]: or sweep and ring would be at the same stop at the same place.
+    pub jitter_s: f64,
     /// Power of the finder: laser, camera and two servos [W] [A].
     pub laser_w: f64,
     /// Power of one ultrasonic module that listens, 100 mA at 5 V [W] (Polaroid 6500).
@@ -89,6 +91,7 @@ impl Default for CompareParams {
             fast_m_s: 0.6,
             jitter_m: 0.08,
             jitter_deg: 3.0,
+            jitter_s: 6.0,
             laser_w: 7.0,
             module_w: 0.5,
             ping_j: 0.0033,
@@ -113,6 +116,7 @@ impl CompareParams {
             ("fast_m_s", self.fast_m_s, 0.01, 100.0),
             ("jitter_m", self.jitter_m, 0.0, 2.0),
             ("jitter_deg", self.jitter_deg, 0.0, 180.0),
+            ("jitter_s", self.jitter_s, 0.0, 600.0),
             ("laser_w", self.laser_w, 0.0, 1e4),
             ("module_w", self.module_w, 0.0, 1e4),
             ("ping_j", self.ping_j, 0.0, 1e3),

@@ -471,9 +471,8 @@ fn place_robot(world: &mut PhysicsWorld, robot: &RobotBody, at: &Transform<World
 }
 
 fn pose(iso: &Isometry3<f64>) -> Result<Pose> {
-    let within = iso.translation.vector.iter().all(|c| c.is_finite() && c.abs() <= REACH_M);
-    if !within || !iso.rotation.coords.iter().all(|c| c.is_finite()) {
-        let p = iso.translation.vector;
+    let p = iso.translation.vector;
+    if !p.iter().all(|c| c.abs() <= REACH_M) || !iso.rotation.coords.iter().all(|c| c.is_finite()) {
         return Err(Fault::new("pose", format!("({}, {}, {})", p.x, p.y, p.z), format!("within {REACH_M} m")));
     }
     Ok(glam_pose(iso))

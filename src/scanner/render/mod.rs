@@ -157,12 +157,8 @@ impl Renderer {
         let is_glossy = materials.iter().any(|material| material.gloss > 0.0);
         let (sensor, field) = (sensor(&rig, &params, ambient), field_of_view(&rig)?);
         let speckle = Speckle::new(&rig, &params);
-        let sun = Sun::new(
-            &rig,
-            scene,
-            params.vignetting,
-            params.electrons_of(&rig, params.filter_bandwidth_nm / 10.0, 1.0),
-        );
+        let sun =
+            Sun::new(&rig, scene, params.vignetting, params.electrons_of(&rig, params.filter_bandwidth_nm / 10.0, 1.0));
         Ok(Self { rig, params, materials, is_glossy, sensor, bell: Bell::new(), speckle, sun, field })
     }
 
