@@ -102,13 +102,13 @@ pub fn run(options: Options) -> Result<Exit> {
         return Ok(if stop_requested() { Exit::Lossy } else { Exit::Done });
     }
     let found = sum_up(&scenario, &fingerprint, sensors, &outcome.trials)?;
-    let pictures = outcome.trials.iter().find_map(|trial| trial.pictures.clone()).unwrap_or_default();
+    let shown = outcome.trials.iter().find_map(|trial| trial.shown.as_ref());
     let mut value =
         serde_json::to_value(&found).map_err(|e| Fault::new("comparison", e, "numbers that JSON can hold"))?;
     value["verdict"] = verdict(&found).into();
     let files = ["compare.json", "compare.csv", "report.html", "view.rrd"].map(|name| dir.join(name));
     value["files"] = files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().into();
-    let texts = [format!("{value:#}\n"), csv(&found), page(&found, &pictures, "")?];
+    let texts = [format!("{value:#}\n"), csv(&found), page(&found, shown, "")?];
     for (file, text) in files.iter().zip(&texts) {
         write_whole(file, text.as_bytes())?;
     }

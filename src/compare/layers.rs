@@ -77,6 +77,28 @@ impl Picture {
     }
 }
 
+/// What is shown of one seed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shown {
+    /// Truth, laser, ultrasonic and both; without a sensor also without its map and the last one.
+    pub maps: Vec<Picture>,
+    /// Places along the robot's way [m].
+    pub way_m: Vec<[f64; 2]>,
+    /// Where the obstacles are at the start.
+    pub places: Vec<Place>,
+}
+
+/// Where an obstacle is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Place {
+    /// Its class.
+    pub class: String,
+    /// Its middle [m].
+    pub at_m: [f64; 2],
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -33,6 +33,7 @@ mod layers;
 mod ledger;
 mod matching;
 mod page;
+mod plan;
 mod runs;
 mod stage;
 mod statistics;
@@ -41,7 +42,7 @@ mod table;
 mod trial;
 mod verdict;
 
-pub use layers::{MapScore, Picture};
+pub use layers::{MapScore, Picture, Place, Shown};
 pub use ledger::{Account, BIN_M, Encounter, LASER, Reports, SENSORS, ULTRASONIC};
 pub use page::{page, ring_against_readings};
 pub use runs::{Outcome, Plan, SEEDS_MAX, fingerprint, run_all, write_whole};

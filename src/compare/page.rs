@@ -1,13 +1,12 @@
 //! The report: one page that needs no network.
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
-
-use super::layers::Picture;
+use super::layers::{Picture, Shown};
+use super::plan;
 use super::statistics::{Rate, Value};
 use super::summary::{ClassResult, Comparison};
+use super::trial::Sensors;
 use super::verdict::verdict;
-use crate::fault::{Fault, Result};
+use crate::fault::Result;
 use crate::maps::PlanView;
 use crate::report::html;
 use crate::report::{Plot, Series, Style, escaped};
@@ -26,16 +25,17 @@ const LIMITS: [&str; 10] = [
      this world, not for all rooms.",
     "Only what lies ahead counts, where the finder looks while driving. The ring sees all around, which the maps show and the \
      detection rates do not.",
-    "A reading explains itself by any surface within the tolerance, also by chance, and also by one that is hidden.",
+    "A report is false only where no surface at all, seen or hidden, is within the tolerance: a wide cone finds one by chance more \
+     often than a point does, which favours the ring.",
     "Power is the data sheets' for the ring's modules and an estimate for the finder; computers are left out.",
-    "The laser's maps are made while driving, three views of six lines; standing still it would see more.",
+    "The laser's maps are made while driving, from a few lines in each view; standing still for a scan it would see more.",
 ];
 
-/// The page. `pictures`: truth and the sensors' maps of one seed.
+/// The page. `shown`: one seed's way, and the maps of it.
 ///
 /// # Errors
 /// A picture that is damaged.
-pub fn page(found: &Comparison, pictures: &[Picture], extra: &str) -> Result<String> {
+pub fn page(found: &Comparison, shown: Option<&Shown>, extra: &str) -> Result<String> {
     let mut body = format!("<h1>{}</h1>", escaped(&format!("Laser against ultrasonic: {}", found.name)));
     let time = found.sim_s.map_or("–".into(), |v| format!("{:.0}", v.value));
     let way = found.travel_m.map_or("–".into(), |v| format!("{:.1}", v.value));
@@ -51,11 +51,16 @@ pub fn page(found: &Comparison, pictures: &[Picture], extra: &str) -> Result<Str
         body += &format!("<li>{head}{}</li>", escaped(rest));
     }
     body += "</ul>";
+    let views = shown.map_or(&[][..], |shown| &shown.maps).iter().map(Picture::view).collect::<Result<Vec<_>>>()?;
+    if let (Some(truth), Some(shown)) = (views.first(), shown) {
+        body += &plan::world(truth, shown, &found.order)?;
+    }
     body += &detection_table(found);
     body += &errors_table(found);
     body += &by_distance(found);
     body += &error_plots(found);
-    body += &maps(found, pictures)?;
+    body += &false_obstacles(found);
+    body += &maps(found, &views)?;
     body += &needs(found);
     body += extra;
     body += &definitions(found);
@@ -110,7 +115,7 @@ fn errors_table(found: &Comparison) -> String {
             [
                 format!("{class}, {sensor}"),
                 measured(r.range_rmse_m, 1e3, 0, "–"),
-                measured(r.bearing_rmse_rad, 180.0 / std::f64::consts::PI, 1, "–"),
+                measured(r.bearing_rmse_rad, 180.0 / std::f64::consts::PI, 2, "–"),
                 measured(r.first_detection_m, 1.0, 1, never),
                 measured(r.first_detection_s, 1.0, 1, never),
                 share(r.false_share),
@@ -124,6 +129,16 @@ fn errors_table(found: &Comparison) -> String {
             ["class, sensor", "range error [mm]", "bearing error [°]", "first seen at [m]", "after [s]", "false [%]"],
             rows,
         )
+}
+
+fn false_obstacles(found: &Comparison) -> String {
+    let rows = found.false_obstacles.iter().map(|(sensor, f)| {
+        let reports = f.of_reports.map_or(0, |rate| rate.of);
+        [(*sensor).to_string(), reports.to_string(), share(f.of_reports), share(f.of_seconds)]
+    });
+    String::from("<h2>False obstacles over the whole way</h2>")
+        + "<p>Reports, all around the robot, where no obstacle has a surface within the tolerance.</p>"
+        + &html::table(["sensor", "reports", "false [%]", "seconds with a false one [%]"], rows)
 }
 
 fn by_distance(found: &Comparison) -> String {
@@ -180,7 +195,7 @@ fn error_plots(found: &Comparison) -> String {
         + &format!("<p><small>{}</small></p>", escaped(&key.join(" · ")))
 }
 
-fn maps(found: &Comparison, pictures: &[Picture]) -> Result<String> {
+fn maps(found: &Comparison, views: &[PlanView]) -> Result<String> {
     let rows = super::MAPS.iter().filter_map(|name| {
         let r = found.map.get(name)?;
         let percent = |value: Option<Value>| measured(value, 100.0, 1, "not measured");
@@ -209,41 +224,15 @@ fn maps(found: &Comparison, pictures: &[Picture]) -> Result<String> {
             ],
             rows,
         );
-    let names = ["Truth: what the robot could have known", "Laser", "Ultrasonic", "Fused"];
-    let names = names.into_iter().take(if pictures.len() == 2 { 2 } else { 4 });
-    let views = pictures.iter().map(Picture::view).collect::<Result<Vec<_>>>()?;
+    let used = [true, found.sensors.laser, found.sensors.ultrasonic, found.sensors == Sensors::BOTH];
+    let names = ["Truth: what the robot could have known", "Laser", "Ultrasonic", "Fused"].into_iter().zip(used);
+    let names = names.filter(|(_, used)| *used).map(|(name, _)| name);
     let Some(truth) = views.first() else { return Ok(out) };
-    let drawn = views.iter().zip(names).map(|(view, name)| drawn(view, truth, name)).collect::<Result<Vec<_>>>()?;
+    let drawn = views.iter().zip(names).map(|(view, name)| plan::map(view, truth, name)).collect::<Result<Vec<_>>>()?;
     out += &html::even_gallery(drawn);
     out += "<p><small>Black: occupied. White: free. Grey: unknown. One seed; x to the right, y up, the same part of the world in \
             each.</small></p>";
     Ok(out)
-}
-
-/// A plan view in the frame of the truth, y up.
-fn drawn(view: &PlanView, truth: &PlanView, name: &str) -> Result<String> {
-    let shift: [i64; 2] =
-        std::array::from_fn(|axis| ((truth.origin_m[axis] - view.origin_m[axis]) / truth.resolution_m).round() as i64);
-    let mut levels = Vec::with_capacity(truth.cells.len());
-    for row in (0..truth.height as i64).rev() {
-        for column in 0..truth.width as i64 {
-            let (x, y) = (column + shift[0], row + shift[1]);
-            let inside = (0..view.width as i64).contains(&x) && (0..view.height as i64).contains(&y);
-            let cell = if inside { view.cells[y as usize * view.width + x as usize] } else { -1 };
-            levels.push(match cell {
-                i8::MIN..0 => 190,
-                0..50 => 255,
-                _ => 0,
-            });
-        }
-    }
-    let mut png = Vec::new();
-    PngEncoder::new(&mut png)
-        .write_image(&levels, truth.width as u32, truth.height as u32, ExtendedColorType::L8)
-        .map_err(|e| Fault::new("picture of a map", e, "a map that PNG can hold"))?;
-    let size = [truth.width, truth.height];
-    let [w, h] = size.map(|cells| cells as f64 * truth.resolution_m);
-    Ok(html::picture(&format!("{name} ({w:.1} x {h:.1} m)"), &png, size))
 }
 
 fn needs(found: &Comparison) -> String {

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
+use super::layers::Place;
 use crate::fault::Result;
 use crate::geometry::{Point, Robot, Transform, World};
 use crate::sources::{CompareParams, Kind, Scenario, TargetParams};
@@ -115,6 +116,19 @@ impl Stage {
             }
         }
         Ok(())
+    }
+
+    /// Where the sites are at the start.
+    pub fn places(&self) -> Vec<Place> {
+        let place = |site: &Site| {
+            let at = |sample: &Sample| match sample.body {
+                Some(body) => (self.start[body] * Point3::from(sample.at)).coords,
+                None => sample.at,
+            };
+            let middle = site.samples.iter().map(at).sum::<V3>() / site.samples.len().max(1) as f64;
+            Place { class: site.params.class.clone(), at_m: [middle.x, middle.y] }
+        };
+        self.sites.iter().map(place).collect()
     }
 
     /// What the robot could see of a site within range and sector; `None`: nothing.
@@ -263,11 +277,14 @@ fn sampled(shape: &Shape, spacing: f64) -> Vec<V3> {
         let (a, b, c) = (corner(*a), corner(*b), corner(*c));
         let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
         let steps = (longest / spacing).ceil().clamp(1.0, 2000.0) as usize;
+        // Both sides of a thin plate are sampled: of each only its own can be seen.
+        let normal = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_default();
+        let facing: [i64; 3] = std::array::from_fn(|axis| normal[axis].round() as i64);
         for i in 0..=steps {
             for j in 0..=steps - i {
                 let at = a + (b - a) * (i as f64 / steps as f64) + (c - a) * (j as f64 / steps as f64);
                 let key: [i64; 3] = std::array::from_fn(|axis| (at[axis] / spacing).round() as i64);
-                if taken.insert(key) {
+                if taken.insert((facing, key)) {
                     out.push(at);
                 }
             }
@@ -303,6 +320,16 @@ mod tests {
         assert!(view.places.iter().all(|at| at.x < 2.06 || at.z > 0.49));
         for (x, yaw) in [(0.0, 2.0), (0.0, -2.0), (-2.5, 0.0), (3.0, 0.0)] {
             assert!(stage.view(&stage.sites[0], &Transform::planar(x, 0.0, yaw)).is_none(), "{x} {yaw}");
+        }
+    }
+
+    #[test]
+    fn a_thin_pane_is_seen_all_over_from_either_side() {
+        let stage = stage("[[world.box]]\nname = 'pane'\nposition = [2.0, 0.0]\nsize = [0.01, 1.4, 0.9]\n", "");
+        for (x, yaw, face) in [(0.0, 0.0, 1.995), (4.0, std::f64::consts::PI, 2.005)] {
+            let view = stage.view(&stage.sites[0], &Transform::planar(x, 0.0, yaw)).unwrap();
+            let middle = V3::new(face, 0.0, 0.4);
+            assert!(view.places.iter().any(|at| (at - middle).norm() < 0.1), "from {x}: {:?}", view.places);
         }
     }
 

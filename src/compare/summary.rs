@@ -388,7 +388,7 @@ mod tests {
             classes: [("box".to_string(), vec![encounter])].into(),
             reports: [reports.clone(), reports],
             maps: Default::default(),
-            pictures: None,
+            shown: None,
         }
     }
 

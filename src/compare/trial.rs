@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::layers::{MapScore, Picture};
+use super::layers::{MapScore, Picture, Shown};
 use super::ledger::{Encounter, LASER, Ledger, Reports, ULTRASONIC};
 use super::matching::{Cone, LaserPoint, Slit};
 use super::stage::{Stage, V3};
@@ -77,8 +77,8 @@ pub struct Trial {
     pub reports: [Reports; 2],
     /// The maps of laser, ultrasonic and both.
     pub maps: [Option<MapScore>; 3],
-    /// Truth, laser, ultrasonic and both as pictures; of one seed only.
-    pub pictures: Option<Vec<Picture>>,
+    /// Maps, way and world; of one seed only.
+    pub shown: Option<Shown>,
 }
 
 /// The scenario as a seed has it: its own noise, and a start and goals that are moved a little and begin a little later,
@@ -115,7 +115,7 @@ pub fn run(
     scenario: &Scenario,
     seed: u64,
     sensors: Sensors,
-    with_pictures: bool,
+    is_shown: bool,
     go_on: &dyn Fn(u64) -> bool,
 ) -> Result<Option<Trial>> {
     let sensors = sensors.validated()?;
@@ -139,7 +139,7 @@ pub fn run(
         }
     }
     simulation.take_heard().iter().try_for_each(|heard| book.hear(heard))?;
-    let mut trial = book.close(&scenario, with_pictures)?;
+    let mut trial = book.close(&scenario, is_shown)?;
     (trial.sim_s, trial.collisions) = (simulation.now().as_secs(), simulation.collisions());
     Ok(Some(trial))
 }
@@ -211,7 +211,7 @@ impl Book {
         Ok(())
     }
 
-    fn close(mut self, scenario: &Scenario, with_pictures: bool) -> Result<Trial> {
+    fn close(mut self, scenario: &Scenario, is_shown: bool) -> Result<Trial> {
         self.ledger.finish();
         let maps = self.pipeline.maps();
         let layers = maps.layers().unwrap_or_else(|| {
@@ -225,7 +225,11 @@ impl Book {
         let scores = [verdicts.laser, verdicts.ultrasonic, verdicts.fused];
         let views = [&truth.view, &layers.laser, &layers.ultrasonic, &layers.fused].into_iter();
         let shown = views.zip([true, used[0], used[1], used[2]]).filter(|view| view.1);
-        let pictures = with_pictures.then(|| shown.map(|(view, _)| Picture::of(view)).collect());
+        let shown = is_shown.then(|| Shown {
+            maps: shown.map(|(view, _)| Picture::of(view)).collect(),
+            way_m: self.way_m.clone(),
+            places: stage.places(),
+        });
         Ok(Trial {
             seed: scenario.seed,
             sim_s: 0.0,
@@ -238,7 +242,7 @@ impl Book {
             classes: self.ledger.classes,
             reports: self.ledger.reports,
             maps: std::array::from_fn(|which| used[which].then(|| scores[which].into())),
-            pictures,
+            shown,
         })
     }
 }

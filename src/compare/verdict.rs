@@ -16,10 +16,22 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
     if measured.is_empty() {
         out.push("No obstacle came into play: no detection rate was measured.".to_string());
     }
+    let count = found.differences.iter().filter(|d| d.p.is_some()).count();
+    let least = 2.0_f64.powi(1 - seeds.min(60) as i32).min(1.0);
+    let is_hopeless = least * count as f64 > super::ALPHA;
+    if is_hopeless && !measured.is_empty() {
+        out.push(format!(
+            "Too few seeds: with {seeds} no difference can be significant, however large (flipped signs give a probability of {least:.2} \
+             at least, for each of {count} comparisons)."
+        ));
+    }
     for (winner, name) in [("laser", "The laser"), ("ultrasonic", "The ultrasonic ring")] {
         let won: Vec<String> =
             measured.iter().filter(|d| d.winner == Some(winner)).map(|d| with_rates(found, d)).collect();
         if won.is_empty() {
+            if is_hopeless || measured.is_empty() {
+                continue;
+            }
             out.push(format!("{name} is not significantly better at detecting anything here."));
         } else {
             out.push(format!("{name} detects more often: {}.", won.join("; ")));
@@ -34,16 +46,9 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
         out.push(format!("Not measured, since it never came into play: {}.", unmet.join(", ")));
     }
     out.extend(found.differences.iter().filter(|d| d.measure != "detection rate").filter_map(other));
-    let count = found.differences.iter().filter(|d| d.p.is_some()).count();
     out.push(format!(
         "“Significant” means: over {seeds} seeds, paired, at 5 % after Holm's correction for all {count} comparisons on this page."
     ));
-    if 2.0_f64.powi(1 - seeds.min(60) as i32) * count as f64 > super::ALPHA {
-        out.push(format!(
-            "With {seeds} seeds nothing can be significant: the smallest probability that flipped signs can give is {:.2}.",
-            2.0_f64.powi(1 - seeds.min(60) as i32).min(1.0)
-        ));
-    }
     out
 }
 
