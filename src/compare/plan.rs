@@ -36,8 +36,8 @@ impl Frame {
         let mut frame = Self { low: [f64::INFINITY; 2], high: [f64::NEG_INFINITY; 2] };
         for (index, _) in view.cells.iter().enumerate().filter(|cell| *cell.1 >= 0) {
             let cell = [index % view.width.max(1), index / view.width.max(1)];
-            for axis in 0..2 {
-                let at = view.origin_m[axis] + cell[axis] as f64 * view.resolution_m;
+            for (axis, cell) in cell.into_iter().enumerate() {
+                let at = view.origin_m[axis] + cell as f64 * view.resolution_m;
                 frame.low[axis] = frame.low[axis].min(at - MARGIN_M);
                 frame.high[axis] = frame.high[axis].max(at + view.resolution_m + MARGIN_M);
             }

@@ -14,7 +14,6 @@ use crate::fault::{Fault, Result};
 use crate::maps::Layers;
 use crate::navigation::Step as MissionStep;
 use crate::pipeline::{Pipeline, Step};
-use crate::sonar::RingParams;
 use crate::sources::{Heard, PlanTruth, Scenario, ShotTruth, Simulation};
 
 /// Places of the robot's way are this far apart [m].
@@ -86,7 +85,7 @@ pub struct Trial {
 pub fn scenario_of(scenario: &Scenario, seed: u64, sensors: Sensors) -> Scenario {
     let mut own = scenario.clone();
     own.seed = seed;
-    own.sonar = sensors.ultrasonic.then(|| scenario.sonar.unwrap_or_else(RingParams::default));
+    own.sonar = sensors.ultrasonic.then(|| scenario.sonar.unwrap_or_default());
     let (reach, turn) = (scenario.compare.jitter_m, scenario.compare.jitter_deg);
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6a69_7474_6572);
     let mut off = |most: f64| if most > 0.0 { rng.random_range(-most..=most) } else { 0.0 };
@@ -275,6 +274,6 @@ pub fn power_w(trial: &Trial, scenario: &Scenario, sensor: usize) -> f64 {
     if sensor != ULTRASONIC {
         return params.laser_w;
     }
-    let count = scenario.sonar.unwrap_or_else(RingParams::default).count as f64;
+    let count = scenario.sonar.unwrap_or_default().count as f64;
     count * params.module_w + params.ping_j * trial.pings as f64 / trial.sim_s.max(1e-9)
 }
