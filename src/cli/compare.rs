@@ -23,7 +23,7 @@ range_rmse_m, bearing_rmse_rad, first_detection_m, first_detection_s {value, ci9
 order [class], false_obstacles {sensor: {of_reports, of_seconds}}, \
 map {laser | ultrasonic | fused: {iou, precision, recall, free_space_error, free_found, free_blocked}}, \
 needs {sensor: {power_w, kb_per_s, line_kb_per_s, per_s}}, \
-differences [{what, measure, more_is_better, difference, p, p_holm, winner}], verdict [sentence], files, redone. \
+differences [{what, measure, more_is_better, laser, ultrasonic, difference, p, p_holm, winner}], verdict [sentence], files, redone. \
 null: not measured.
 
 A run that was stopped goes on where it was: every finished seed is kept in DIR/seeds.";

@@ -93,8 +93,8 @@ pub struct Shown {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Place {
-    /// Its class.
-    pub class: String,
+    /// What it is an example of.
+    pub classes: Vec<String>,
     /// Its middle [m].
     pub at_m: [f64; 2],
 }

@@ -89,7 +89,7 @@ fn result<'a>(found: &'a Comparison, class: &str, sensor: &str) -> Option<&'a Cl
 }
 
 fn detection_table(found: &Comparison) -> String {
-    let rows = found.order.iter().map(|class| {
+    let rows = found.order.iter().zip(1..).map(|(class, number)| {
         let rate = |sensor| result(found, class, sensor).map_or("–".into(), |r| percent(r.rate, r.ci95));
         let tries = found.classes.get(class).and_then(|by| by.values().next()).map_or(0, |r| r.opportunities);
         let difference = found.differences.iter().find(|d| d.what == *class && d.measure == "detection rate");
@@ -100,7 +100,7 @@ fn detection_table(found: &Comparison) -> String {
             Some(winner) => winner.to_string(),
             None => "–".into(),
         };
-        [class.clone(), tries.to_string(), rate("laser"), rate("ultrasonic"), winner, p]
+        [format!("{number} {class}"), tries.to_string(), rate("laser"), rate("ultrasonic"), winner, p]
     });
     String::from("<h2>Detection</h2>")
         + "<p>Share of opportunities in which the obstacle was seen, in per cent, with 95 % intervals over seeds.</p>"
@@ -108,12 +108,12 @@ fn detection_table(found: &Comparison) -> String {
 }
 
 fn errors_table(found: &Comparison) -> String {
-    let rows = found.order.iter().flat_map(|class| {
+    let rows = found.order.iter().zip(1..).flat_map(|(class, number)| {
         let by = found.classes.get(class).into_iter().flatten();
         by.map(move |(sensor, r)| {
             let never = if r.opportunities == 0 { "not measured" } else { "mostly never" };
             [
-                format!("{class}, {sensor}"),
+                format!("{number} {class}, {sensor}"),
                 measured(r.range_rmse_m, 1e3, 0, "–"),
                 measured(r.bearing_rmse_rad, 180.0 / std::f64::consts::PI, 2, "–"),
                 measured(r.first_detection_m, 1.0, 1, never),
@@ -142,8 +142,9 @@ fn false_obstacles(found: &Comparison) -> String {
 }
 
 fn by_distance(found: &Comparison) -> String {
-    let plots = found.order.iter().filter_map(|class| {
-        let mut plot = Plot::new(&capital(class), "distance", "m", "detection rate", "%").from_zero();
+    let plots = found.order.iter().zip(1..).filter_map(|(class, number)| {
+        let mut plot =
+            Plot::new(&format!("{number} {}", capital(class)), "distance", "m", "detection rate", "%").from_zero();
         let mut any = false;
         for (colour, sensor) in ["laser", "ultrasonic"].into_iter().enumerate() {
             let Some(r) = result(found, class, sensor).filter(|r| !r.by_distance.is_empty()) else { continue };

@@ -100,34 +100,31 @@ pub(super) fn world(truth: &PlanView, shown: &Shown, order: &[String]) -> Result
         let _ = write!(svg, "{x:.2},{y:.2} ");
     }
     svg += "\"/>";
-    let metre = [0.3, h - 0.3];
-    let _ = write!(
-        svg,
-        "<path d=\"M{:.2} {:.2}h1\" stroke=\"#000\" stroke-width=\"0.06\"/><text x=\"{:.2}\" y=\"{:.2}\" \
-         style=\"font-size:.32px;fill:#000\">1 m</text>",
-        metre[0],
-        metre[1],
-        metre[0] + 0.2,
-        metre[1] - 0.12
-    );
-    for (class, number) in order.iter().zip(1..) {
-        for place in shown.places.iter().filter(|place| place.class == *class) {
-            let [x, y] = at(place.at_m);
-            // Towards the middle of the picture, so that the disc stays in it.
-            let [dx, dy] =
-                [if x < w / 2.0 { BESIDE_M } else { -BESIDE_M }, if y < h / 2.0 { BESIDE_M } else { -BESIDE_M }];
-            let _ = write!(
-                svg,
-                "<g><title>{}</title><path d=\"M{x:.2} {y:.2}l{dx} {dy}\" stroke=\"#a33\" stroke-width=\"0.03\"/><circle \
-                 cx=\"{:.2}\" cy=\"{:.2}\" r=\"{DISC_M}\" fill=\"#a33\"/><text x=\"{:.2}\" y=\"{:.2}\" text-anchor=\"middle\" \
-                 style=\"font-size:.3px;fill:#fff;font-weight:600\">{number}</text></g>",
-                escaped(class),
-                x + dx,
-                y + dy,
-                x + dx,
-                y + dy + 0.1
-            );
-        }
+    svg += "<path d=\"M0.6 0.4h1\" stroke=\"#000\" stroke-width=\"0.06\"/><text x=\"0.1\" y=\"0.4\" \
+            style=\"font-size:.28px;fill:#000\">1 m</text>";
+    for place in &shown.places {
+        let [x, y] = at(place.at_m);
+        let numbers: Vec<String> = order
+            .iter()
+            .zip(1..)
+            .filter(|(class, _)| place.classes.contains(class))
+            .map(|(_, number): (_, u32)| number.to_string())
+            .collect();
+        // Towards the middle of the picture, so that the disc stays in it.
+        let [cx, cy] = [
+            if x < w / 2.0 { x + BESIDE_M } else { x - BESIDE_M },
+            if y < h / 2.0 { y + BESIDE_M } else { y - BESIDE_M },
+        ];
+        let wide = DISC_M * (0.4 + 0.6 * numbers.len() as f64);
+        let _ = write!(
+            svg,
+            "<g><title>{}</title><path d=\"M{x:.2} {y:.2}L{cx:.2} {cy:.2}\" stroke=\"#a33\" stroke-width=\"0.03\"/><ellipse \
+             cx=\"{cx:.2}\" cy=\"{cy:.2}\" rx=\"{wide:.2}\" ry=\"{DISC_M}\" fill=\"#a33\"/><text x=\"{cx:.2}\" y=\"{:.2}\" \
+             text-anchor=\"middle\" style=\"font-size:.3px;fill:#fff;font-weight:600\">{}</text></g>",
+            escaped(&place.classes.join(", ")),
+            cy + 0.1,
+            numbers.join("·")
+        );
     }
     svg += "</svg>";
     let met: Vec<String> = order.iter().zip(1..).map(|(class, number)| format!("{number} {class}")).collect();
@@ -165,15 +162,15 @@ mod tests {
 
     #[test]
     fn the_world_is_cut_to_what_is_known_and_names_what_is_numbered() {
-        let place = |class: &str, at_m| Place { class: class.into(), at_m };
+        let place = |class: &str, at_m| Place { classes: vec![class.into(), "fast".into()], at_m };
         let shown = Shown {
             maps: vec![Picture::of(&view())],
             way_m: vec![[0.0, 0.0], [0.5, 0.0]],
             places: vec![place("a <pole>", [-0.45, 0.05]), place("unknown", [0.0, 0.0])],
         };
-        let figure = world(&view(), &shown, &["a <pole>".to_string()]).unwrap();
+        let figure = world(&view(), &shown, &["a <pole>", "fast"].map(String::from)).unwrap();
         assert!(figure.contains("viewBox=\"0 0 3.00 1.10\""), "{figure}");
-        assert_eq!((figure.matches("<circle").count(), figure.matches("&lt;pole&gt;").count()), (1, 2));
+        assert_eq!((figure.matches(">1·2</text>").count(), figure.matches("&lt;pole&gt;").count()), (1, 2));
         assert!(world(&PlanView { cells: vec![-1; 1200], ..view() }, &shown, &[]).unwrap().contains("0 0 4.00 3.00"));
     }
 }

@@ -126,7 +126,8 @@ impl Stage {
                 None => sample.at,
             };
             let middle = site.samples.iter().map(at).sum::<V3>() / site.samples.len().max(1) as f64;
-            Place { class: site.params.class.clone(), at_m: [middle.x, middle.y] }
+            let classes = std::iter::once(&site.params.class).chain(&site.params.fast_class).cloned().collect();
+            Place { classes, at_m: [middle.x, middle.y] }
         };
         self.sites.iter().map(place).collect()
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::ledger::{BIN_M, Encounter, SENSORS};
+use super::ledger::{BIN_M, Encounter, LASER, SENSORS, ULTRASONIC};
 use super::statistics::{Rate, Value, holm, mean, median, rate, rms, sign_flip};
 use super::trial::{Sensors, Trial, bytes_per_s, power_w};
 use crate::fault::{Fault, Result};
@@ -132,6 +132,10 @@ pub struct Difference {
     pub measure: &'static str,
     /// Whether more of it is better.
     pub more_is_better: bool,
+    /// Mean over seeds that measured it for both.
+    pub laser: Option<f64>,
+    /// The same of the ring.
+    pub ultrasonic: Option<f64>,
     /// Laser less ultrasonic, mean over seeds.
     pub difference: Option<Value>,
     /// Probability that it is chance: signs flipped over seeds.
@@ -346,9 +350,25 @@ fn paired(
     trials: &[Trial],
     value: &dyn Fn(&Trial, usize) -> Option<f64>,
 ) -> Difference {
-    let pairs: Vec<f64> = trials.iter().filter_map(|trial| Some(value(trial, 0)? - value(trial, 1)?)).collect();
+    let both: Vec<[f64; 2]> =
+        trials.iter().filter_map(|trial| Some([value(trial, LASER)?, value(trial, ULTRASONIC)?])).collect();
+    let pairs: Vec<f64> = both.iter().map(|[laser, ultrasonic]| laser - ultrasonic).collect();
     let (difference, p) = (mean(&pairs), sign_flip(&pairs).filter(|_| pairs.len() > 1));
-    Difference { what: what.into(), measure, more_is_better, difference, p, p_holm: None, winner: None }
+    let over = |sensor: usize| {
+        (!both.is_empty()).then(|| both.iter().map(|pair| pair[sensor]).sum::<f64>() / both.len() as f64)
+    };
+    let (laser, ultrasonic) = (over(LASER), over(ULTRASONIC));
+    Difference {
+        what: what.into(),
+        measure,
+        more_is_better,
+        laser,
+        ultrasonic,
+        difference,
+        p,
+        p_holm: None,
+        winner: None,
+    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! The result in plain words.
 
-use super::statistics::Value;
 use super::summary::{Comparison, Difference};
 
 /// Sentences, most important first: where each wins, where there is no difference to be seen, what the maps are worth.
@@ -61,30 +60,21 @@ fn with_rates(found: &Comparison, difference: &Difference) -> String {
     format!("{} ({} against {} %)", difference.what, rate("laser"), rate("ultrasonic"))
 }
 
+/// What is asked of all classes together, with both sensors' means.
 fn other(difference: &Difference) -> Option<String> {
-    let Value { value, .. } = difference.difference?;
-    let (amount, what) = match difference.measure {
-        "RMS range error [m]" => (format!("{:.0} mm", value.abs() * 1e3), "error of range, RMS"),
-        "RMS bearing error [rad]" => (format!("{:.1}°", value.abs().to_degrees()), "error of bearing, RMS"),
-        "share of false obstacles" => {
-            (format!("{:.1} points of per cent", value.abs() * 1e2), "share of false obstacles")
-        }
-        "IoU" => (format!("{:.2}", value.abs()), "map, intersection over union with the truth"),
-        _ => (format!("{:.1} points of per cent", value.abs() * 1e2), "map, free cells that are not"),
+    let Difference { laser: Some(laser), ultrasonic: Some(ultrasonic), winner, .. } = *difference else { return None };
+    let percent = |share: f64| format!("{:.1} %", share * 100.0);
+    let (what, show): (&str, &dyn Fn(f64) -> String) = match difference.measure {
+        "RMS range error [m]" => ("Error of range, RMS", &|m| format!("{:.0} mm", m * 1e3)),
+        "RMS bearing error [rad]" => ("Error of bearing, RMS", &|rad| format!("{:.2}°", rad.to_degrees())),
+        "share of false obstacles" => ("Share of false obstacles", &percent),
+        "IoU" => ("Map, intersection over union with the truth", &|iou| format!("{iou:.2}")),
+        _ => ("Map, share of its free cells that are not free", &percent),
     };
-    let (first, second) = if value > 0.0 { ("laser", "ultrasonic ring") } else { ("ultrasonic ring", "laser") };
-    Some(match difference.winner {
-        Some(winner) => {
-            let better = if winner == "laser" { "the laser is better" } else { "the ultrasonic ring is better" };
-            format!("{}: {better}; the {first}'s is {amount} above the {second}'s.", capital(what))
-        }
-        None => {
-            format!("{}: no significant difference (the {first}'s is {amount} above the {second}'s).", capital(what))
-        }
-    })
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+    let judged = match winner {
+        Some("laser") => "the laser is better",
+        Some(_) => "the ultrasonic ring is better",
+        None => "no significant difference",
+    };
+    Some(format!("{what}: laser {}, ultrasonic ring {}: {judged}.", show(laser), show(ultrasonic)))
 }
