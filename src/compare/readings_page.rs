@@ -15,20 +15,24 @@ pub fn ring_against_readings(found: &Readings) -> String {
     let limit = format!("at the limit of {} m [%]", real.limit_m);
     let jumps = format!("steps of more than {JUMP_M} m [%]");
     let lead = format!(
-        "How like a real ring is the ring of this comparison? Ranges of a real robot's ring ({}) beside those that the model \
-         reads when it is carried around the room “{}” ({}). A range of {} m or more, or no echo, is at the limit; a step is \
-         from a transducer's range to its next one.",
-        found.file, found.world, found.world_file, real.limit_m
+        "How like a real ring is the model? Ranges of a real robot's ring ({}) beside those that the model reads when a robot \
+         carries it once around the goals of “{}” ({}), with the ring as that file has it, not as this comparison does. A range of \
+         {} m or more, or no echo, is at the limit; a step is from a transducer's range to its next one.",
+        name(&found.file),
+        found.world,
+        name(&found.world_file),
+        real.limit_m
     );
     let caveat = format!(
-        "The simulated room is not the real one. As far as it was laid out with the recording in view, agreement is a fit, not a \
-         prediction: it shows that the model can read like a real ring, not that it foretells one. A row takes {:.2} s in the \
-         simulation; at another rate, steps are over another way.",
+        "The simulated room is not the real one, and its robot goes exactly from goal to goal: what is always equally far \
+         stands out more. As far as the room was laid out with the recording in view, agreement is a fit, not a prediction: \
+         it shows that the model can read like a real ring, not that it foretells one. A row of readings takes the model {:.2} s; \
+         where a recording's takes more or less, so do its steps.",
         found.row_s
     );
     let said = found.sentences().map(|sentence| format!("<li>{}</li>", escaped(&sentence))).concat();
     String::from("<h2>The ring against real readings</h2>")
-        + &format!("<p>{}</p>", escaped(&lead))
+        + &format!("<p style=\"overflow-wrap:anywhere\">{}</p>", escaped(&lead))
         + &html::table(
             ["ranges of", "count", &limit, &jumps],
             [row("the real ring", real), row("the model", simulated)],
@@ -85,10 +89,15 @@ fn about(found: &Readings) -> String {
     if found.about.is_empty() {
         return String::new();
     }
-    let paragraphs: String =
-        found.about.iter().map(|text| format!("<p><small>{}</small></p>", escaped(text))).collect();
-    let file = escaped(&found.world_file);
+    let shown = |text: &String| escaped(&text.strip_prefix("- ").map_or(text.clone(), |point| format!("• {point}")));
+    let paragraphs: String = found.about.iter().map(|text| format!("<p><small>{}</small></p>", shown(text))).collect();
+    let file = escaped(name(&found.world_file));
     format!("<details><summary>How the room was chosen, in the words of {file}</summary>{paragraphs}</details>")
+}
+
+/// A file without its directories: paths are too long for a telephone.
+fn name(path: &str) -> &str {
+    path.rsplit(['/', '\\']).next().unwrap_or(path)
 }
 
 #[cfg(test)]
