@@ -93,3 +93,55 @@ fn what_cannot_be_compared_is_refused_by_name() {
     let world = written(dir.path(), &format!("{SMALL}[compare]\nrange_m = 0\n"));
     assert!(refused(compare(&world, &out, &[])).contains("small.toml:17: compare.range_m: found 0"));
 }
+
+/// A ring of four that is carried to and fro before a wall.
+const ROOM: &str = "# A wall, and nothing more.\nname = 'wall'\n[world]\nground = true\n[[world.box]]\nname = 'wall'\n\
+    position = [2, 0]\nsize = [0.1, 4, 2]\n[sonar]\ncount = 4\n[robot]\nspeed_m_s_max = 0.2\n\
+    [[mission]]\ngo_to = [0, 0]\n[[mission]]\ngo_to = [1, 0]\n";
+
+#[test]
+fn recorded_readings_stand_beside_simulated_ones() {
+    let dir = tempfile::tempdir().unwrap();
+    let world = written(dir.path(), &SMALL.replace("duration_s = 1.5", "duration_s = 0.5"));
+    let (room, table, out) = (dir.path().join("room.toml"), dir.path().join("ranges.csv"), dir.path().join("out"));
+    std::fs::write(&room, ROOM).unwrap();
+    std::fs::write(&table, "a,b,c,d,turn\n1,4,5,5,left\n2.5,4,5,3.9,left\n2,3.5,5,4,right\n").unwrap();
+    let [table_arg, room_arg] = [&table, &room].map(|path| path.to_str().unwrap());
+    let with = ["--seeds", "1", "--no-recording", "--json", "--readings", table_arg, "--readings-world", room_arg];
+    let limited = [&with[..], &["--readings-limit", "4"]].concat();
+    let output = done(compare(&world, &out, &limited));
+    let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let readings = &printed["readings"];
+    let real = &readings["real"];
+    assert_eq!([&real["readings"], &real["dropped"], &real["steps"], &real["jumps"]], [12, 7, 8, 1], "{real}");
+    let dropout = &readings["rates"]["dropout"];
+    assert!((dropout["real"].as_f64().unwrap() - 7.0 / 12.0).abs() < 1e-12);
+    // Of four transducers before one wall, one or two hear it.
+    assert!(
+        (0.4..0.9).contains(&dropout["simulated"].as_f64().unwrap()) && dropout["within_factor_2"] == true,
+        "{dropout}"
+    );
+    assert_eq!((&readings["world"], &readings["about"][0]), (&"wall".into(), &"A wall, and nothing more.".into()));
+    let html = std::fs::read_to_string(out.join("report.html")).unwrap();
+    for part in [
+        "The ring against real readings",
+        "at the limit of 4 m",
+        "58.3",
+        "A wall, and nothing more.",
+        "not a prediction",
+    ] {
+        assert!(html.contains(part), "{part}");
+    }
+    let stored: Value = serde_json::from_str(&std::fs::read_to_string(out.join("compare.json")).unwrap()).unwrap();
+    assert_eq!(&stored["readings"], readings);
+
+    std::fs::write(&table, "1,4,5,5\n2,4,x,5\n").unwrap();
+    let fault = refused(compare(&world, &out, &with));
+    assert!(fault.contains("ranges.csv:2: column 3: found `x`, expected a range [m]"), "{fault}");
+    std::fs::write(&table, "1,4,5,5\n\n2,4,5\n").unwrap();
+    assert!(refused(compare(&world, &out, &with)).contains("ranges.csv:3: row: found 3 columns, expected at least 4"));
+    let fault = refused(compare(&world, &out, &["--readings", table_arg, "--readings-world", world.to_str().unwrap()]));
+    assert!(fault.contains("small.toml: sonar: found nothing"), "{fault}");
+    let fault = refused(compare(&world, &out, &[&with[..], &["--readings-limit", "0"]].concat()));
+    assert!(fault.contains("--readings-limit: found 0, expected a number from 0.1 to 100"), "{fault}");
+}

@@ -5,6 +5,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use metromap::calibration::points::{LengthUnit, Rows};
+use metromap::sources::range_table::RangeTable;
 use metromap::sources::replay::Replay;
 use metromap::sources::{Scenario, arm_poses, images, marks, rig_file, slits};
 use metromap::world::{load_mesh, load_sdf};
@@ -120,6 +121,13 @@ fn what_calibrations_read() {
         b"name,on,mirror_pulse,mark_m,u,v,sigma\na,floor,130,0.0,256,437.85,0.1\nb,floor,49,0.6,256,244.94,0.1\n\
         b,floor,49,0.6,300,244.9,0.1\n";
     survives(table, "slits.csv", |path| slits::load(path, None).is_ok());
+}
+
+#[test]
+fn ranges_of_a_ring() {
+    let table =
+        b"S1,S2,S3,OUTPUT\n0.438,0.498,3.625,Slight-Right-Turn\n0.44,5.000,3.648,Sharp-Left-Turn\n1.0,0.5,2.332,Move\n";
+    survives(table, "ranges.csv", |path| RangeTable::load(path, 3).is_ok());
 }
 
 #[test]

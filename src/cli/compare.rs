@@ -9,7 +9,8 @@ use super::output::start;
 use super::run::drive;
 use super::session::{Session, interrupted, progress_bar, stop_requested};
 use super::tell::{answer, make_out, tell};
-use crate::compare::{Plan, Sensors, csv, fingerprint, page, run_all, scenario_of, sum_up, verdict, write_whole};
+use crate::compare::{Plan, Readings, Recorded, Sensors, csv, fingerprint, page, ring_against_readings};
+use crate::compare::{run_all, scenario_of, sum_up, verdict, write_whole};
 use crate::fault::{Fault, Result};
 use crate::pipeline::Pipeline;
 use crate::sinks::Sink;
@@ -23,10 +24,15 @@ range_rmse_m, bearing_rmse_rad, first_detection_m, first_detection_s {value, ci9
 order [class], false_obstacles {sensor: {of_reports, of_seconds}}, \
 map {laser | ultrasonic | fused: {iou, precision, recall, free_space_error, free_found, free_blocked}}, \
 needs {sensor: {power_w, kb_per_s, line_kb_per_s, per_s}}, \
-differences [{what, measure, more_is_better, laser, ultrasonic, difference, p, p_holm, winner}], verdict [sentence], files, redone. \
+differences [{what, measure, more_is_better, laser, ultrasonic, difference, p, p_holm, winner}], verdict [sentence], files, redone, \
+readings {file, world_file, world, about [paragraph], row_s, rates {dropout | jump: {real, simulated, ratio, within_factor_2}}, \
+real | simulated: {limit_m, readings, dropped, steps, jumps, ranges [count per 0.1 m], changes [count per 0.1 m]}} (with --readings). \
 null: not measured.
 
 A run that was stopped goes on where it was: every finished seed is kept in DIR/seeds.";
+
+/// Ranges of so much and more are no echo in a recording, unless the user says otherwise [m].
+const READINGS_LIMIT_M: f64 = 5.0;
 
 /// Laser against ultrasonic: the same robot, world, way and seconds, over many seeds, and a report.
 #[derive(Args, Clone, Debug)]
@@ -49,6 +55,15 @@ pub struct Options {
     /// Leave out view.rrd, the first seed with both sensors for the viewer
     #[arg(long)]
     pub no_recording: bool,
+    /// Ranges [m] that a real robot's ring read, for the report: a text table, a scan a row, a transducer a column
+    #[arg(long, value_name = "FILE")]
+    pub readings: Option<PathBuf>,
+    /// The scenario whose ring and room are held against --readings [default: worlds/sonar_room.toml]
+    #[arg(long, value_name = "FILE", requires = "readings")]
+    pub readings_world: Option<PathBuf>,
+    /// Ranges of so much and more count as no echo, in --readings and its simulation [m] [default: 5]
+    #[arg(long, value_name = "M", requires = "readings")]
+    pub readings_limit: Option<f64>,
     /// Print one JSON object on stdout instead of a summary on stderr
     #[arg(long)]
     pub json: bool,
@@ -76,6 +91,7 @@ pub fn run(options: Options) -> Result<Exit> {
     let sensors = sensors.validated().map_err(|fault| Fault { what: "--sensors".into(), ..fault })?;
     let scenario = Scenario::load(&path, &options.model_path)?;
     let dir = options.out.clone().unwrap_or_else(|| Path::new("out/compare").join(&scenario.name));
+    let recorded = recorded(&options)?;
     let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     make_out(&dir)?;
     let fingerprint = fingerprint(&scenario, sensors);
@@ -101,14 +117,27 @@ pub fn run(options: Options) -> Result<Exit> {
         tell!("stopped with {} of {} seeds done: the same command goes on", outcome.done, options.seeds);
         return Ok(if stop_requested() { Exit::Lossy } else { Exit::Done });
     }
+    let readings = recorded.map(|recorded| simulated(recorded, threads)).transpose()?;
+    let readings = match readings {
+        Some(None) => {
+            tell!("stopped before the ring's readings were simulated: the same command goes on");
+            return Ok(Exit::Lossy);
+        }
+        readings => readings.flatten(),
+    };
     let found = sum_up(&scenario, &fingerprint, sensors, &outcome.trials)?;
     let shown = outcome.trials.iter().find_map(|trial| trial.shown.as_ref());
     let mut value =
         serde_json::to_value(&found).map_err(|e| Fault::new("comparison", e, "numbers that JSON can hold"))?;
     value["verdict"] = verdict(&found).into();
+    if let Some(readings) = &readings {
+        value["readings"] =
+            serde_json::to_value(readings).map_err(|e| Fault::new("--readings", e, "numbers that JSON can hold"))?;
+    }
     let files = ["compare.json", "compare.csv", "report.html", "view.rrd"].map(|name| dir.join(name));
     value["files"] = files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().into();
-    let texts = [format!("{value:#}\n"), csv(&found), page(&found, shown, "")?];
+    let extra = readings.as_ref().map(ring_against_readings).unwrap_or_default();
+    let texts = [format!("{value:#}\n"), csv(&found), page(&found, shown, &extra)?];
     for (file, text) in files.iter().zip(&texts) {
         write_whole(file, text.as_bytes())?;
     }
@@ -121,11 +150,27 @@ pub fn run(options: Options) -> Result<Exit> {
         answer(&value)?;
         return Ok(Exit::Done);
     }
-    for sentence in verdict(&found) {
+    for sentence in verdict(&found).into_iter().chain(readings.iter().flat_map(Readings::sentences)) {
         tell!("{sentence}");
     }
     tell!("open {}", files[2].display());
     Ok(Exit::Done)
+}
+
+/// What was recorded of a real ring, if the user named it: read before anything long begins.
+fn recorded(options: &Options) -> Result<Option<Recorded>> {
+    let Some(file) = &options.readings else { return Ok(None) };
+    let world = options.readings_world.clone().unwrap_or_else(|| PathBuf::from("worlds/sonar_room.toml"));
+    Recorded::load(file, &world, options.readings_limit.unwrap_or(READINGS_LIMIT_M), &options.model_path).map(Some)
+}
+
+/// Recorded readings beside simulated ones; `None` if the user stopped it.
+fn simulated(recorded: Recorded, threads: usize) -> Result<Option<Readings>> {
+    let bar = progress_bar(Some(1000));
+    bar.set_message(format!("the ring's readings in {}", recorded.world()));
+    let readings = recorded.compare(threads, interrupted(), &|thousandths| bar.set_position(thousandths));
+    bar.finish_and_clear();
+    readings
 }
 
 /// Drives the first seed once more into a file for the viewer, unless it is there already; whether it is whole.

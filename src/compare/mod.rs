@@ -29,11 +29,14 @@
 //!
 //! What never could happen was not measured: `None`, null in JSON, never 0.
 
+mod along;
 mod layers;
 mod ledger;
 mod matching;
 mod page;
 mod plan;
+mod readings;
+mod readings_page;
 mod runs;
 mod stage;
 mod statistics;
@@ -44,7 +47,9 @@ mod verdict;
 
 pub use layers::{MapScore, Picture, Place, Shown};
 pub use ledger::{Account, BIN_M, Encounter, LASER, Reports, SENSORS, ULTRASONIC};
-pub use page::{page, ring_against_readings};
+pub use page::page;
+pub use readings::{RatePair, Rates, Readings, Recorded};
+pub use readings_page::ring_against_readings;
 pub use runs::{Outcome, Plan, SEEDS_MAX, fingerprint, run_all, write_whole};
 pub use statistics::{Rate, Value};
 pub use summary::{

@@ -10,7 +10,6 @@ use crate::fault::Result;
 use crate::maps::PlanView;
 use crate::report::html;
 use crate::report::{Plot, Series, Style, escaped};
-use crate::sonar::{BIN_M, RangeStatistics};
 
 /// What the models leave out, said to whoever reads the report.
 const LIMITS: [&str; 10] = [
@@ -31,7 +30,7 @@ const LIMITS: [&str; 10] = [
     "The laser's maps are made while driving, from a few lines in each view; standing still for a scan it would see more.",
 ];
 
-/// The page. `shown`: one seed's way, and the maps of it.
+/// The page. `shown`: one seed's way, and the maps of it. `extra`: one more part, as HTML.
 ///
 /// # Errors
 /// A picture that is damaged.
@@ -251,37 +250,6 @@ fn needs(found: &Comparison) -> String {
             ["sensor", "power [W]", "as sent [kB/s]", "as extracted lines [kB/s]", "images or pings [1/s]"],
             rows,
         )
-}
-
-/// Two sets of ultrasonic readings beside each other: how often there is no echo, how often they jump, and their histograms.
-pub fn ring_against_readings(real: &RangeStatistics, simulated: &RangeStatistics) -> String {
-    let percent = |rate: Option<f64>| rate.map_or("not measured".into(), |rate| format!("{:.1}", rate * 100.0));
-    let row = |name: &str, s: &RangeStatistics| {
-        [name.to_string(), s.readings.to_string(), percent(s.dropout_rate()), percent(s.jump_rate())]
-    };
-    let limit = format!("at the limit of {:.1} m [%]", real.limit_m);
-    let histogram = |title: &str, x: &str, pick: fn(&RangeStatistics) -> (&Vec<u64>, u64)| {
-        let mut plot = Plot::new(title, x, "m", "share", "%").from_zero();
-        for (name, s) in [("real robot", real), ("simulated", simulated)] {
-            let (bins, of) = pick(s);
-            let share = |count: u64| 100.0 * count as f64 / of.max(1) as f64;
-            let steps = bins
-                .iter()
-                .enumerate()
-                .flat_map(|(i, count)| [i, i + 1].map(|edge| (edge as f64 * BIN_M, share(*count))));
-            plot = plot.with(Series::new(name, Style::Line, steps.collect()));
-        }
-        html::drawing(&plot)
-    };
-    String::from("<h2>The ring against real readings</h2>")
-        + &html::table(
-            ["readings of", "count", &limit, "steps of more than 1 m [%]"],
-            [row("the real robot", real), row("the simulated one", simulated)],
-        )
-        + &html::even_gallery([
-            histogram("Ranges", "range", |s| (&s.ranges, s.readings)),
-            histogram("Changes from one reading to the next", "change", |s| (&s.changes, s.steps)),
-        ])
 }
 
 fn definitions(found: &Comparison) -> String {

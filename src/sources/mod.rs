@@ -7,6 +7,7 @@ pub mod images;
 pub mod marks;
 mod obstacles;
 mod plan_truth;
+pub mod range_table;
 mod recorded_ranges;
 pub mod replay;
 pub mod rig_file;
