@@ -292,3 +292,33 @@ fn capital(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compare::summary::tests::{scenario, trial};
+    use crate::compare::{Trial, sum_up};
+
+    #[test]
+    fn it_has_the_verdict_first_needs_no_network_and_zero_is_not_what_was_not_measured() {
+        let mut trials: Vec<Trial> = (0..12).map(|seed| trial(seed, [2, 0])).collect();
+        for trial in &mut trials {
+            trial.classes.insert("never met".into(), Vec::new());
+        }
+        let found = sum_up(&scenario(), "f", Sensors::BOTH, &trials).unwrap();
+        let html = page(&found, None, "<p>one more part</p>").unwrap();
+        let order = [
+            "The laser detects more often",
+            "<h2>Detection</h2>",
+            "<h2>Maps</h2>",
+            "one more part",
+            "What the words mean",
+        ];
+        let at: Vec<usize> = order.iter().map(|part| html.find(part).unwrap_or_else(|| panic!("{part}"))).collect();
+        assert!(at.is_sorted(), "{at:?}");
+        assert!(!html.contains("src=\"http") && !html.contains("<script") && !html.contains("@import"));
+        let row = |class: &str| html.split("<tr>").find(|row| row.contains(class)).unwrap().to_string();
+        assert!(row("1 box").contains("<td>100 (") && row("1 box").contains("<td>0 ("), "{}", row("1 box"));
+        assert_eq!(row("2 never met").matches("not measured").count(), 2);
+    }
+}

@@ -372,12 +372,12 @@ fn paired(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::compare::{Account, Reports};
 
     /// A seed in which a class was met once in two bins, each sensor seeing it in so many of them.
-    fn trial(seed: u64, seen: [usize; 2]) -> Trial {
+    pub fn trial(seed: u64, seen: [usize; 2]) -> Trial {
         let account = |count: usize| Account {
             seen: (0..count as u32).map(|bin| (bin + 2, 3)).collect(),
             first_m: (count > 0).then_some(1.2),
@@ -412,7 +412,7 @@ mod tests {
         }
     }
 
-    fn scenario() -> Scenario {
+    pub fn scenario() -> Scenario {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("empty.toml");
         std::fs::write(&path, "name = 'empty'\n[world]\nground = true\n").unwrap();

@@ -7,8 +7,7 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
     let mut out = Vec::new();
     let seeds = found.seeds.len();
     if found.differences.is_empty() {
-        out.push("Only one sensor was at work: there is nothing to compare it with.".to_string());
-        return out;
+        return alone(found);
     }
     let classes: Vec<&Difference> = found.differences.iter().filter(|d| d.measure == "detection rate").collect();
     let measured: Vec<&&Difference> = classes.iter().filter(|d| d.difference.is_some()).collect();
@@ -17,8 +16,10 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
     }
     let count = found.differences.iter().filter(|d| d.p.is_some()).count();
     let least = 2.0_f64.powi(1 - seeds.min(60) as i32).min(1.0);
-    let is_hopeless = least * count as f64 > super::ALPHA;
-    if is_hopeless && !measured.is_empty() {
+    let is_hopeless = seeds < 2 || least * count as f64 > super::ALPHA;
+    if seeds < 2 {
+        out.push("A single seed has no spread: no interval, and no difference that could be significant.".to_string());
+    } else if is_hopeless && !measured.is_empty() {
         out.push(format!(
             "Too few seeds: with {seeds} no difference can be significant, however large (flipped signs give a probability of {least:.2} \
              at least, for each of {count} comparisons)."
@@ -45,10 +46,24 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
         out.push(format!("Not measured, since it never came into play: {}.", unmet.join(", ")));
     }
     out.extend(found.differences.iter().filter(|d| d.measure != "detection rate").filter_map(other));
-    out.push(format!(
-        "“Significant” means: over {seeds} seeds, paired, at 5 % after Holm's correction for all {count} comparisons on this page."
-    ));
+    if seeds > 1 {
+        out.push(format!(
+            "“Significant” means: over {seeds} seeds, paired, at 5 % after Holm's correction for all {count} comparisons on this page."
+        ));
+    }
     out
+}
+
+/// Where one sensor was at work there is no verdict, but what it detected.
+fn alone(found: &Comparison) -> Vec<String> {
+    let name = if found.sensors.laser { "laser" } else { "ultrasonic" };
+    let rate = |class: &String| {
+        let rate = found.classes.get(class)?.get(name)?.rate?;
+        Some(format!("{class} {:.0} %", rate * 100.0))
+    };
+    let rates: Vec<String> = found.order.iter().filter_map(rate).collect();
+    let rates = if rates.is_empty() { "no obstacle came into play".to_string() } else { rates.join("; ") };
+    vec![format!("Only one sensor was at work, there is nothing to compare it with. Detected, {name}: {rates}.")]
 }
 
 /// A class with both rates.
@@ -77,4 +92,49 @@ fn other(difference: &Difference) -> Option<String> {
         None => "no significant difference",
     };
     Some(format!("{what}: laser {}, ultrasonic ring {}: {judged}.", show(laser), show(ultrasonic)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compare::summary::tests::{scenario, trial};
+    use crate::compare::{Sensors, Trial, sum_up};
+
+    fn said(seeds: u64, seen: [usize; 2], sensors: Sensors) -> Vec<String> {
+        let trials: Vec<Trial> = (0..seeds).map(|seed| trial(seed, seen)).collect();
+        verdict(&sum_up(&scenario(), "f", sensors, &trials).unwrap())
+    }
+
+    #[test]
+    fn it_says_who_wins_and_where_nobody_does() {
+        let found = said(12, [2, 1], Sensors::BOTH);
+        assert_eq!(found[0], "The laser detects more often: box (100 against 50 %).");
+        assert_eq!(found[1], "The ultrasonic ring is not significantly better at detecting anything here.");
+        assert!(
+            found
+                .iter()
+                .any(|s| s == "Error of range, RMS: laser 20 mm, ultrasonic ring 20 mm: no significant difference.")
+        );
+        assert_eq!(
+            said(12, [0, 2], Sensors::BOTH)[1],
+            "The ultrasonic ring detects more often: box (0 against 100 %)."
+        );
+        assert!(
+            said(12, [1, 1], Sensors::BOTH)[2]
+                .starts_with("No significant difference in detection: box (50 against 50 %)")
+        );
+    }
+
+    #[test]
+    fn too_few_seeds_and_single_sensors_have_no_winner() {
+        assert!(said(1, [2, 0], Sensors::BOTH)[0].starts_with("A single seed has no spread"));
+        let few = said(4, [2, 0], Sensors::BOTH);
+        assert!(few[0].starts_with("Too few seeds: with 4 "), "{few:?}");
+        assert!(few.iter().all(|s| !s.contains("detects more often") && !s.contains("not significantly better")));
+        let alone = said(4, [2, 0], Sensors { laser: true, ultrasonic: false });
+        assert_eq!(
+            alone,
+            ["Only one sensor was at work, there is nothing to compare it with. Detected, laser: box 100 %."]
+        );
+    }
 }
