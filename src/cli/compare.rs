@@ -9,7 +9,7 @@ use super::output::start;
 use super::run::drive;
 use super::session::{Session, interrupted, progress_bar, stop_requested};
 use super::tell::{answer, make_out, tell};
-use crate::compare::{Plan, Readings, Recorded, Sensors, csv, fingerprint, page, ring_against_readings};
+use crate::compare::{Plan, Readings, Recorded, Sensors, csv, fingerprint, json, page, ring_against_readings};
 use crate::compare::{run_all, scenario_of, sum_up, verdict, write_whole};
 use crate::fault::{Fault, Result};
 use crate::pipeline::Pipeline;
@@ -20,14 +20,14 @@ use crate::sources::{Judge, Scenario, Simulation};
 const JSON_HELP: &str = "\
 JSON keys: name, version, fingerprint, seeds, sensors, terms, sim_s, travel_m, collisions, \
 classes {class: {laser | ultrasonic: {opportunities, detected, rate, ci95, encounters, false_share {hits, of, rate, ci95}, \
-range_rmse_m, bearing_rmse_rad, first_detection_m, first_detection_s {value, ci95}, by_distance [{from_m, to_m, hits, of, rate, ci95}]}}}, \
+range_rmse_m, bearing_rmse_rad, first_detection_m, first_detection_s, by_distance [{from_m, to_m, hits, of, rate, ci95}]}}}, \
 order [class], false_obstacles {sensor: {of_reports, of_seconds}}, \
 map {laser | ultrasonic | fused: {iou, precision, recall, free_space_error, free_found, free_blocked}}, \
 needs {sensor: {power_w, kb_per_s, line_kb_per_s, per_s}}, \
 differences [{what, measure, more_is_better, laser, ultrasonic, difference, p, p_holm, winner}], verdict [sentence], files, redone, \
 readings {file, world_file, world, about [paragraph], row_s, rates {dropout | jump: {real, simulated, ratio, within_factor_2}}, \
 real | simulated: {limit_m, readings, dropped, steps, jumps, ranges [count per 0.1 m], changes [count per 0.1 m]}} (with --readings). \
-null: not measured.
+of each figure without a ci95 of its own the 95 % interval is beside it, as NAME_ci95. null: not measured.
 
 A run that was stopped goes on where it was: every finished seed is kept in DIR/seeds.";
 
@@ -127,15 +127,14 @@ pub fn run(options: Options) -> Result<Exit> {
     };
     let found = sum_up(&scenario, &fingerprint, sensors, &outcome.trials)?;
     let shown = outcome.trials.iter().find_map(|trial| trial.shown.as_ref());
-    let mut value =
-        serde_json::to_value(&found).map_err(|e| Fault::new("comparison", e, "numbers that JSON can hold"))?;
-    value["verdict"] = verdict(&found).into();
+    let mut value = json(&found)?;
     if let Some(readings) = &readings {
         value["readings"] =
             serde_json::to_value(readings).map_err(|e| Fault::new("--readings", e, "numbers that JSON can hold"))?;
     }
     let files = ["compare.json", "compare.csv", "report.html", "view.rrd"].map(|name| dir.join(name));
-    value["files"] = files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().into();
+    let written = if options.no_recording { &files[..3] } else { &files[..] };
+    value["files"] = written.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().into();
     let extra = readings.as_ref().map(ring_against_readings).unwrap_or_default();
     let texts = [format!("{value:#}\n"), csv(&found), page(&found, shown, &extra)?];
     for (file, text) in files.iter().zip(&texts) {

@@ -55,6 +55,6 @@ pub use statistics::{Rate, Value};
 pub use summary::{
     ALPHA, ClassResult, Comparison, Difference, DistanceRate, FalseObstacles, MAPS, MapResult, Needs, sum_up,
 };
-pub use table::csv;
+pub use table::{csv, json};
 pub use trial::{Sensors, Trial, scenario_of};
 pub use verdict::verdict;

@@ -58,12 +58,17 @@ pub struct Outcome {
     pub done: u64,
 }
 
-/// What a comparison depends on, as SHA-256: the scenario's text, its files as they were read, the sensors and the version.
+/// What a comparison depends on, as SHA-256: the scenario's text, its files as they were read, the sensors, and the program
+/// itself: results of two builds are never mixed.
 pub fn fingerprint(scenario: &Scenario, sensors: Sensors) -> String {
     let mut hasher = Sha256::new();
     // Debug prints every number in full: meshes, rigs and worlds beside the scenario count as its own text does.
     let parts = format!("{} {scenario:?} {sensors:?}", env!("CARGO_PKG_VERSION"));
     hasher.update(parts.as_bytes());
+    // Where the program cannot be read, its version has to do.
+    if let Some(program) = std::env::current_exe().ok().and_then(|path| std::fs::read(path).ok()) {
+        hasher.update(&program);
+    }
     hex(hasher)
 }
 

@@ -1,9 +1,48 @@
-//! The figures as CSV: a line a class, sensor and measure.
+//! The figures for programs: as JSON, and as CSV with a line a class, sensor and measure.
 
 use std::fmt::Write;
 
+use serde_json::{Map, Value as Json};
+
 use super::statistics::{Rate, Value};
 use super::summary::Comparison;
+use super::verdict::verdict;
+use crate::fault::{Fault, Result};
+
+/// The comparison and its verdict as one JSON object: a figure under its name, its 95 % interval under the name with `_ci95`.
+/// What was not measured is null.
+///
+/// # Errors
+/// Numbers that JSON cannot hold.
+pub fn json(found: &Comparison) -> Result<Json> {
+    let plain = serde_json::to_value(found);
+    let mut value = flat(plain.map_err(|e| Fault::new("comparison", e, "numbers that JSON can hold"))?);
+    value["verdict"] = verdict(found).into();
+    Ok(value)
+}
+
+/// Takes figures out of their boxes: `x: {value, ci95}` becomes `x` and `x_ci95`.
+fn flat(value: Json) -> Json {
+    match value {
+        Json::Array(items) => items.into_iter().map(flat).collect(),
+        Json::Object(fields) => {
+            let mut out = Map::new();
+            for (name, field) in fields {
+                match field {
+                    Json::Object(mut figure) if figure.len() == 2 && figure.contains_key("value") => {
+                        out.insert(format!("{name}_ci95"), figure.remove("ci95").unwrap_or_default());
+                        out.insert(name, figure.remove("value").unwrap_or_default());
+                    }
+                    other => {
+                        out.insert(name, flat(other));
+                    }
+                }
+            }
+            Json::Object(out)
+        }
+        plain => plain,
+    }
+}
 
 /// All figures: `what,sensor,measure,value,low95,high95,hits,of`. What was not measured has no value.
 pub fn csv(found: &Comparison) -> String {
@@ -85,6 +124,19 @@ fn quoted(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn figures_stand_under_their_names_and_their_intervals_beside_them() {
+        let boxed = serde_json::json!({
+            "a": {"x_m": {"value": 1.5, "ci95": [1.0, 2.0]}, "y_m": {"value": 2.0, "ci95": null}, "z": null},
+            "b": [{"rate": 0.5, "ci95": [0.4, 0.6]}],
+        });
+        let plain = serde_json::json!({
+            "a": {"x_m": 1.5, "x_m_ci95": [1.0, 2.0], "y_m": 2.0, "y_m_ci95": null, "z": null},
+            "b": [{"rate": 0.5, "ci95": [0.4, 0.6]}],
+        });
+        assert_eq!(flat(boxed), plain);
+    }
 
     #[test]
     fn a_line_has_eight_fields_and_names_with_commas_are_quoted() {
