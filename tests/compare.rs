@@ -50,7 +50,7 @@ fn a_comparison_killed_and_started_again_writes_the_same_bytes() {
     assert!((low..=high).contains(&ring["range_rmse_m"].as_f64().unwrap()), "{ring}");
     assert!(printed["map"]["fused"]["iou"].is_f64() && printed["needs"]["laser"]["power_w"] == 7.0);
     let html = std::fs::read_to_string(once.join("report.html")).unwrap();
-    assert!(!html.contains("http://") || !html.contains("src=\"http"), "needs no network");
+    assert!(!html.contains("src=\"http") && !html.contains("<script") && !html.contains("@import"), "needs no network");
     assert!(once.join("view.rrd").exists());
 
     let mut child = compare(&world, &twice, &["--seeds", "4", "--threads", "1", "--no-recording"])
@@ -62,7 +62,9 @@ fn a_comparison_killed_and_started_again_writes_the_same_bytes() {
     }
     child.kill().unwrap();
     child.wait().unwrap();
-    done(compare(&world, &twice, &["--seeds", "4", "--threads", "2", "--no-recording"]));
+    let output = done(compare(&world, &twice, &["--seeds", "4", "--threads", "2", "--no-recording", "--json"]));
+    let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(printed["kept"].as_u64().unwrap() > 0 && printed["redone"] == 0, "{printed}");
     let bytes = |out: &Path, name: &str| std::fs::read(out.join(name)).unwrap();
     for name in ["compare.csv", "report.html", "seeds/seed_3.json", "seeds/seed_6.json"] {
         assert!(bytes(&once, name) == bytes(&twice, name), "{name}");
@@ -81,6 +83,11 @@ fn a_world_with_nothing_in_it_is_not_measured() {
     assert_eq!(printed["classes"], serde_json::json!({}));
     assert!(printed["verdict"][0].as_str().unwrap().contains("No obstacle came into play"));
     assert!(printed["map"]["laser"]["recall"].is_null(), "{}", printed["map"]);
+    // The ring heard nothing, and the laser's map is not its own.
+    assert!(
+        printed["map"]["laser"]["free_found"].as_f64().unwrap() > 0.0
+            && printed["map"]["ultrasonic"]["free_found"] == 0.0
+    );
 }
 
 #[test]
@@ -90,6 +97,9 @@ fn what_cannot_be_compared_is_refused_by_name() {
     let out = dir.path().join("out");
     assert!(refused(compare(&world, &out, &["--seeds", "0"])).contains("--seeds: found 0, expected 1 to 10000"));
     assert!(refused(compare(&world, &out, &["--sensors"])).contains("--sensors: found none"));
+    let mut one = Command::new(env!("CARGO_BIN_EXE_metromap"));
+    one.args(["compare", "--sensors", "laser", "gone.toml"]);
+    assert!(refused(one).contains("gone.toml: file: found"));
     let world =
         written(dir.path(), &format!("{SMALL}[[compare.target]]\nname = 'a'\nclass = 'b'\nbodies = ['gone']\n"));
     let fault = refused(compare(&world, &out, &[]));

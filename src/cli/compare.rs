@@ -9,7 +9,9 @@ use super::output::start;
 use super::run::drive;
 use super::session::{Session, interrupted, progress_bar, stop_requested};
 use super::tell::{answer, make_out, tell};
-use crate::compare::{Plan, Readings, Recorded, Sensors, csv, fingerprint, json, page, ring_against_readings};
+use crate::compare::{
+    LASER, Plan, Readings, Recorded, Sensors, Trial, ULTRASONIC, csv, fingerprint, json, page, ring_against_readings,
+};
 use crate::compare::{run_all, scenario_of, sum_up, verdict, write_whole};
 use crate::fault::{Fault, Result};
 use crate::pipeline::Pipeline;
@@ -24,7 +26,7 @@ range_rmse_m, bearing_rmse_rad, first_detection_m, first_detection_s, by_distanc
 order [class], false_obstacles {sensor: {of_reports, of_seconds}}, \
 map {laser | ultrasonic | fused: {iou, precision, recall, free_space_error, free_found, free_blocked}}, \
 needs {sensor: {power_w, kb_per_s, line_kb_per_s, per_s}}, \
-differences [{what, measure, more_is_better, laser, ultrasonic, difference, p, p_holm, winner}], verdict [sentence], files, redone, \
+differences [{what, measure, more_is_better, laser, ultrasonic, difference, p, p_holm, winner}], verdict [sentence], files, redone, kept (seeds done before), \
 readings {file, world_file, world, about [paragraph], row_s, rates {dropout | jump: {real, simulated, ratio, within_factor_2}}, \
 real | simulated: {limit_m, readings, dropped, steps, jumps, ranges [count per 0.1 m], changes [count per 0.1 m]}} (with --readings). \
 of each figure without a ci95 of its own the 95 % interval is beside it, as NAME_ci95. null: not measured.
@@ -47,7 +49,7 @@ pub struct Options {
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Which sensors are at work
-    #[arg(long, value_enum, value_name = "WHICH", value_delimiter = ',', num_args = 0..=2, default_values_t = [Sensor::Laser, Sensor::Sonar])]
+    #[arg(long, value_enum, value_name = "WHICH", value_delimiter = ',', num_args = 0..=1, default_values_t = [Sensor::Laser, Sensor::Sonar])]
     pub sensors: Vec<Sensor>,
     /// Seeds at a time [default: as many as there are processors]
     #[arg(long, value_name = "N")]
@@ -104,10 +106,14 @@ pub fn run(options: Options) -> Result<Exit> {
         threads,
         dir: &seeds_dir,
     };
-    let stop = interrupted();
+    let readings = simulated(recorded, threads)?;
+    if stop_requested() {
+        tell!("stopped while the ring's readings were simulated: the same command begins again");
+        return Ok(Exit::Lossy);
+    }
     let bar = progress_bar(Some(1000));
     bar.set_message(format!("{} seeds", options.seeds));
-    let outcome = run_all(&plan, stop, &|thousandths| bar.set_position(thousandths));
+    let outcome = run_all(&plan, interrupted(), &|thousandths| bar.set_position(thousandths));
     bar.finish_and_clear();
     let outcome = outcome?;
     for fault in &outcome.redone {
@@ -117,14 +123,7 @@ pub fn run(options: Options) -> Result<Exit> {
         tell!("stopped with {} of {} seeds done: the same command goes on", outcome.done, options.seeds);
         return Ok(if stop_requested() { Exit::Lossy } else { Exit::Done });
     }
-    let readings = recorded.map(|recorded| simulated(recorded, threads)).transpose()?;
-    let readings = match readings {
-        Some(None) => {
-            tell!("stopped before the ring's readings were simulated: the same command goes on");
-            return Ok(Exit::Lossy);
-        }
-        readings => readings.flatten(),
-    };
+    tell_refused(&outcome.trials);
     let found = sum_up(&scenario, &fingerprint, sensors, &outcome.trials)?;
     let shown = outcome.trials.iter().find_map(|trial| trial.shown.as_ref());
     let mut value = json(&found)?;
@@ -140,20 +139,52 @@ pub fn run(options: Options) -> Result<Exit> {
     for (file, text) in files.iter().zip(&texts) {
         write_whole(file, text.as_bytes())?;
     }
-    if !options.no_recording && !record(&files[3], &scenario_of(&scenario, scenario.seed, sensors), &fingerprint)? {
-        tell!("stopped before the recording was whole: the same command goes on");
-        return Ok(Exit::Lossy);
-    }
+    let first = scenario_of(&scenario, scenario.seed, sensors);
+    let is_whole = if options.no_recording {
+        leave_out(&files[3], &fingerprint)?
+    } else {
+        record(&files[3], &first, &fingerprint)?
+    };
     value["redone"] = outcome.redone.len().into();
+    value["kept"] = outcome.kept.into();
     if options.json {
         answer(&value)?;
-        return Ok(Exit::Done);
+    } else {
+        for sentence in verdict(&found).into_iter().chain(readings.iter().flat_map(Readings::sentences)) {
+            tell!("{sentence}");
+        }
+        tell!("open {}", files[2].display());
     }
-    for sentence in verdict(&found).into_iter().chain(readings.iter().flat_map(Readings::sentences)) {
-        tell!("{sentence}");
+    if !is_whole {
+        tell!("stopped before {} was whole: the same command goes on", files[3].display());
+        return Ok(Exit::Lossy);
     }
-    tell!("open {}", files[2].display());
     Ok(Exit::Done)
+}
+
+/// Tells what the pipeline refused: seeds in which a sensor was partly deaf or blind are no fair comparison.
+fn tell_refused(trials: &[Trial]) {
+    let refused = |sensor: usize| trials.iter().map(|trial| trial.refused[sensor]).sum::<u64>();
+    match [refused(LASER), refused(ULTRASONIC)] {
+        [0, 0] => {}
+        [captures, readings] => {
+            tell!(
+                "metromap: not used: {captures} captures and {readings} ultrasonic readings, refused by the pipeline"
+            );
+        }
+    }
+}
+
+/// A recording of something else does not stay beside the report.
+fn leave_out(path: &Path, fingerprint: &str) -> Result<bool> {
+    let mark = path.with_extension("of");
+    if mark.exists() && !std::fs::read_to_string(&mark).is_ok_and(|of| of == fingerprint) {
+        for file in [path, &mark] {
+            std::fs::remove_file(file).or_else(|e| if file.exists() { Err(Fault::io(file, &e)) } else { Ok(()) })?;
+        }
+        tell!("metromap: removed {}, which was of another comparison", path.display());
+    }
+    Ok(true)
 }
 
 /// What was recorded of a real ring, if the user named it: read before anything long begins.
@@ -163,8 +194,9 @@ fn recorded(options: &Options) -> Result<Option<Recorded>> {
     Recorded::load(file, &world, options.readings_limit.unwrap_or(READINGS_LIMIT_M), &options.model_path).map(Some)
 }
 
-/// Recorded readings beside simulated ones; `None` if the user stopped it.
-fn simulated(recorded: Recorded, threads: usize) -> Result<Option<Readings>> {
+/// Recorded readings beside simulated ones; `None` without any, or if the user stopped it.
+fn simulated(recorded: Option<Recorded>, threads: usize) -> Result<Option<Readings>> {
+    let Some(recorded) = recorded else { return Ok(None) };
     let bar = progress_bar(Some(1000));
     bar.set_message(format!("the ring's readings in {}", recorded.world()));
     let readings = recorded.compare(threads, interrupted(), &|thousandths| bar.set_position(thousandths));

@@ -85,7 +85,7 @@ pub struct Shown {
     pub maps: Vec<Picture>,
     /// Places along the robot's way [m].
     pub way_m: Vec<[f64; 2]>,
-    /// Where the obstacles are at the start.
+    /// Where the obstacles are at the end.
     pub places: Vec<Place>,
 }
 

@@ -186,10 +186,10 @@ impl Ledger {
     /// Takes a capture.
     pub fn slit(&mut self, stamp: Stamp, slit: &Slit) {
         self.sighted(LASER, stamp, |line, places, terms| slit.sees(places, line, terms));
-        let reports = slit.reports(self.stage.params.clearance_m, |at| self.stage.explains_place(at));
+        let high_m = self.foot.z + self.stage.params.clearance_m;
+        let reports = slit.reports(high_m, |at| self.stage.explains_place(at));
         for (at, explained) in reports {
-            let way = at - self.foot;
-            self.reported(LASER, stamp, way.y.atan2(way.x), explained);
+            self.reported(LASER, stamp, &at, explained);
         }
     }
 
@@ -197,15 +197,19 @@ impl Ledger {
     pub fn cone(&mut self, stamp: Stamp, cone: &Cone) {
         self.sighted(ULTRASONIC, stamp, |line, places, terms| cone.sees(places, line, terms));
         let explained = self.stage.explains_range(&cone.from, &cone.axis, cone.half_rad, cone.range_m);
-        self.reported(ULTRASONIC, stamp, cone.axis.y.atan2(cone.axis.x), explained);
+        self.reported(ULTRASONIC, stamp, &(cone.from + cone.axis * cone.range_m), explained);
     }
 
     fn sighted(&mut self, sensor: usize, stamp: Stamp, sees: impl Fn(&[Vec<f64>], &[V3], &Terms) -> Option<Seen>) {
         let params = &self.stage.params;
         for (site, open) in self.stage.sites.iter().zip(&mut self.open) {
             let Some(open) = open.as_mut().filter(|open| open.in_play) else { continue };
-            let terms =
-                Terms { kind: site.params.kind, tolerance_m: params.tolerance_m, clearance_m: params.clearance_m };
+            let terms = Terms {
+                kind: site.params.kind,
+                tolerance_m: params.tolerance_m,
+                clearance_m: params.clearance_m,
+                floor_m: self.foot.z,
+            };
             let Some(seen) = sees(&site.params.line, &open.view.places, &terms) else { continue };
             let account = &mut open.encounter.by[sensor];
             *account.seen.entry((open.view.distance_m / BIN_M) as u32).or_default() += 1;
@@ -219,7 +223,13 @@ impl Ledger {
         }
     }
 
-    fn reported(&mut self, sensor: usize, stamp: Stamp, bearing: f64, explained: bool) {
+    /// A report of something at a place; what is said to be farther than anything is looked for is not judged.
+    fn reported(&mut self, sensor: usize, stamp: Stamp, at: &V3, explained: bool) {
+        let way = at - self.foot;
+        let bearing = way.y.atan2(way.x);
+        if way.xy().norm() > self.stage.params.range_m {
+            return;
+        }
         let all = &mut self.reports[sensor];
         let second = stamp.as_secs() as i64;
         all.reports += 1;
@@ -244,5 +254,59 @@ impl Ledger {
     /// Closes the book.
     pub fn finish(&mut self) {
         (0..self.open.len()).for_each(|index| self.close(index));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compare::matching::LaserPoint;
+    use crate::compare::stage::tests::stage;
+
+    /// A second at the origin, with something said in the middle of it.
+    fn book(bodies: &str, compare: &str, z: f64, say: impl FnOnce(&mut Ledger, Stamp)) -> Ledger {
+        let mut ledger = Ledger::new(stage(bodies, compare));
+        let here: Transform<World, Robot> = Isometry3::translation(0.0, 0.0, z).into();
+        (0..=2).for_each(|k| ledger.look(Stamp::from_secs(0.25 * f64::from(k)), &here, &[]).unwrap());
+        say(&mut ledger, Stamp::from_secs(0.5));
+        (2..=4).for_each(|k| ledger.look(Stamp::from_secs(0.25 * f64::from(k)), &here, &[]).unwrap());
+        ledger.finish();
+        ledger
+    }
+
+    fn ahead(range_m: f64) -> Cone {
+        let from = V3::new(0.3, 0.0, 0.4);
+        Cone { from, axis: V3::x(), half_rad: 0.26, range_m, truth: Some(from + V3::x() * range_m) }
+    }
+
+    const WALL: &str = "[[world.box]]\nname = 'wall'\nposition = [5.05, 0.0]\nsize = [0.1, 4.0, 1.0]\n";
+    const GAP: &str = "[[compare.target]]\nname = 'gap'\nclass = 'gap'\nkind = 'opening'\nline = [[1.5, -0.4], [1.5, 0.4]]\nz = [0.0, 0.5]\n";
+
+    #[test]
+    fn a_far_range_shows_a_way_through_and_is_not_judged_itself() {
+        let ledger = book(WALL, GAP, 0.0, |ledger, stamp| ledger.cone(stamp, &ahead(4.7)));
+        let met = &ledger.classes["gap"][0];
+        assert_eq!((met.by[ULTRASONIC].seen.get(&2), met.by[LASER].seen.len()), (Some(&1), 0), "{met:?}");
+        assert!((met.by[ULTRASONIC].first_s.unwrap() - 0.5).abs() < 1e-9 && (0.7..1.1).contains(&met.seconds));
+        assert_eq!(ledger.reports[ULTRASONIC], Reports::default());
+        // From before the gap it is no way through, and where nothing is it is false.
+        let ledger = book(WALL, GAP, 0.0, |ledger, stamp| ledger.cone(stamp, &ahead(1.3)));
+        assert!(ledger.classes["gap"][0].by[ULTRASONIC].seen.is_empty());
+        assert_eq!((ledger.reports[ULTRASONIC].reports, ledger.reports[ULTRASONIC].false_reports), (1, 1));
+    }
+
+    #[test]
+    fn heights_count_from_the_floor_that_the_robot_stands_on() {
+        let line = |z: f64| -> Slit {
+            let point = |column: u16| {
+                let at = V3::new(2.0, f64::from(column) * 0.02, z);
+                LaserPoint { column, at, truth: Some(at) }
+            };
+            Slit { eye: V3::new(0.0, 0.0, 1.3), points: (0..5).map(point).collect() }
+        };
+        for (z, reports) in [(0.31, 0), (0.5, 1)] {
+            let ledger = book("", "", 0.3, |ledger, stamp| ledger.slit(stamp, &line(z)));
+            assert_eq!(ledger.reports[LASER].reports, reports, "{z}");
+        }
     }
 }

@@ -55,6 +55,8 @@ pub(super) struct Terms {
     pub kind: Kind,
     pub tolerance_m: f64,
     pub clearance_m: f64,
+    /// Height of the floor that the robot stands on [m].
+    pub floor_m: f64,
 }
 
 impl Terms {
@@ -68,9 +70,12 @@ impl Slit {
     pub fn sees(&self, places: &[V3], line: &[Vec<f64>], terms: &Terms) -> Option<Seen> {
         let near = |at: &V3| terms.near(at, places);
         let shows = |at: &V3| match terms.kind {
-            Kind::Obstacle => at.z > terms.clearance_m && near(at),
+            Kind::Obstacle => at.z > terms.floor_m + terms.clearance_m && near(at),
             // A point under the floor: where its line of sight passes the floor's height there is none.
-            Kind::Drop => at.z < -terms.clearance_m && self.at_height(at, 0.0).is_some_and(|at| near(&at)),
+            Kind::Drop => {
+                at.z < terms.floor_m - terms.clearance_m
+                    && self.at_height(at, terms.floor_m).is_some_and(|at| near(&at))
+            }
             Kind::Opening => is_behind(&self.eye, at, line),
         };
         let both = |p: &&LaserPoint| shows(&p.at) && p.truth.is_some_and(|truth| shows(&truth));
@@ -99,8 +104,8 @@ impl Slit {
 
     /// What it says of obstacles: runs of neighbouring points over the floor, each the median place and whether most of it
     /// is explained.
-    pub fn reports(&self, clearance_m: f64, explains: impl Fn(&V3) -> bool) -> Vec<(V3, bool)> {
-        let high: Vec<&LaserPoint> = self.points.iter().filter(|p| p.at.z > clearance_m).collect();
+    pub fn reports(&self, high_m: f64, explains: impl Fn(&V3) -> bool) -> Vec<(V3, bool)> {
+        let high: Vec<&LaserPoint> = self.points.iter().filter(|p| p.at.z > high_m).collect();
         let apart = |a: &LaserPoint, b: &LaserPoint| b.column > a.column + 1 || (b.at - a.at).norm() > JUMP_M;
         high.chunk_by(|a, b| !apart(a, b))
             .filter(|run| run.len() >= POINTS_MIN)
@@ -169,7 +174,7 @@ fn middle(mut numbers: Vec<f64>) -> Option<f64> {
 mod tests {
     use super::*;
 
-    const TERMS: Terms = Terms { kind: Kind::Obstacle, tolerance_m: 0.15, clearance_m: 0.05 };
+    const TERMS: Terms = Terms { kind: Kind::Obstacle, tolerance_m: 0.15, clearance_m: 0.05, floor_m: 0.0 };
 
     fn slit(points: &[[f64; 3]]) -> Slit {
         let point = |(i, at): (usize, &[f64; 3])| LaserPoint {

@@ -19,8 +19,8 @@
 //! - **Detected**: a reading says that there is something within the tolerance (0.15 m) of a visible place of the obstacle,
 //!   and its light or sound truly came from there; three points of one capture for the laser, one range for the ring. A drop is detected where a line of sight passes the
 //!   floor's height within the hole, or by a range of its near edge; a way through by a reading from behind it that passes between its posts.
-//! - **False obstacle**: a report (a run of three or more neighbouring points of the laser's; a range of the ring's) where no
-//!   obstacle has any surface within the tolerance, hidden or not.
+//! - **False obstacle**: a report (a run of three or more neighbouring points of the laser's; a range of the ring's), not
+//!   farther than obstacles are in play, where none has any surface within the tolerance, hidden or not.
 //! - **Range, bearing error**: of a sighting against the place where its light or sound truly came from.
 //! - **Intervals**: 95 %, over seeds: Wilson's for rates with the number of tries that the spread between seeds leaves; the
 //!   percentiles of a bootstrap over seeds for everything else.

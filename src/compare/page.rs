@@ -1,6 +1,7 @@
 //! The report: one page that needs no network.
 
 use super::layers::{Picture, Shown};
+use super::ledger::BIN_M;
 use super::plan;
 use super::statistics::{Rate, Value};
 use super::summary::{ClassResult, Comparison};
@@ -20,7 +21,7 @@ const LIMITS: [&str; 10] = [
     "Glass lets light through as if it were not there; of its mirror images only the first bounce is drawn.",
     "A person is three cylinders that glide along: no legs that swing, no clothes that hang.",
     "The robot drives blind to its maps, so that both sensors are asked about the same way; it does not avoid anything.",
-    "Seeds change noise, odometry, the air's temperature, and the way by some centimetres; not the world. The intervals are for \
+    "Seeds change noise, odometry, the air's temperature, when the robot starts, and the way by some centimetres; not the world. The intervals are for \
      this world, not for all rooms.",
     "Only what lies ahead counts, where the finder looks while driving. The ring sees all around, which the maps show and the \
      detection rates do not.",
@@ -38,10 +39,14 @@ pub fn page(found: &Comparison, shown: Option<&Shown>, extra: &str) -> Result<St
     let mut body = format!("<h1>{}</h1>", escaped(&format!("Laser against ultrasonic: {}", found.name)));
     let time = found.sim_s.map_or("–".into(), |v| format!("{:.0}", v.value));
     let way = found.travel_m.map_or("–".into(), |v| format!("{:.1}", v.value));
+    let who = if found.sensors == Sensors::BOTH { "both sensors" } else { "one sensor" };
     let lead = format!(
-        "One robot with both sensors drove the same way in the same seconds: {} seeds of {time} s and {way} m each. What each \
-         said was held against what truly was there.",
-        found.seeds.len()
+        "One robot with {who} drove through a simulated world: {} of {time} s and {way} m. What was said was held against \
+         what truly was there.",
+        match found.seeds.len() {
+            1 => "one seed".to_string(),
+            seeds => format!("the same way in the same seconds, {seeds} seeds"),
+        }
     );
     body += &format!("<p>{}</p><ul class=\"verdict\">", escaped(&lead));
     for sentence in verdict(found) {
@@ -150,12 +155,17 @@ fn by_distance(found: &Comparison) -> String {
             any = true;
             let off = 0.04 * colour as f64 - 0.02;
             let middle = |bin: &super::DistanceRate| (bin.from_m + bin.to_m) / 2.0 + off;
-            let line = r.by_distance.iter().map(|bin| (middle(bin), bin.rate.rate * 100.0)).collect();
             let bars = r.by_distance.iter().filter_map(|bin| {
                 let [low, high] = bin.rate.ci95?;
                 Some([(middle(bin), low * 100.0), (middle(bin), high * 100.0)])
             });
-            plot = plot.with(Series::new(sensor, Style::Line, line).coloured(colour));
+            let dots = r.by_distance.iter().map(|bin| (middle(bin), bin.rate.rate * 100.0)).collect();
+            plot = plot.with(Series::new(sensor, Style::Dots, dots).coloured(colour));
+            // Lines end where bins are missing.
+            for run in r.by_distance.chunk_by(|a, b| b.from_m - a.to_m < BIN_M / 2.0) {
+                let line = run.iter().map(|bin| (middle(bin), bin.rate.rate * 100.0)).collect();
+                plot = plot.with(Series::new("", Style::Line, line).coloured(colour));
+            }
             plot = plot.with(Series::new("", Style::Segments, bars.flatten().collect()).coloured(colour));
         }
         // An invisible point keeps every plot's height at 100 %.
@@ -263,10 +273,14 @@ fn definitions(found: &Comparison) -> String {
              echo. A drop-off is detected where a line of sight passes the floor's height there; a narrow gap by a reading from behind it.",
             t.tolerance_m, t.clearance_m
         ),
-        "False obstacle: a report where no obstacle has a surface within the tolerance. A report is a run of three or more neighbouring points \
-         of the laser's, or a range of the ring's."
+        format!(
+            "False obstacle: a report where no obstacle has a surface within the tolerance (of the laser's a cube about each point; of the ring's \
+             a shell all across the cone). A report is a run of three or more neighbouring points of the laser's, or a range of the ring's, up to {} m away.",
+            t.range_m
+        ),
+        "Errors of range and bearing: of a sighting against the place where its light or sound truly came from, seen from the sensor. Where the \
+         sensors are compared, only encounters in which both saw something count, each as much as any other."
             .into(),
-        "Errors of range and bearing: of a sighting against the place where its light or sound truly came from, seen from the sensor.".into(),
         format!("“Robot fast”: faster than {} m/s.", t.fast_m_s),
         "Intervals: 95 %, over seeds. Rates: Wilson's with as many independent tries as the spread between seeds leaves. All else: percentiles \
          of a bootstrap over seeds."

@@ -100,7 +100,7 @@ pub(super) fn world(truth: &PlanView, shown: &Shown, order: &[String]) -> Result
         let _ = write!(svg, "{x:.2},{y:.2} ");
     }
     svg += "\"/>";
-    svg += "<path d=\"M0.6 0.4h1\" stroke=\"#000\" stroke-width=\"0.06\"/><text x=\"0.1\" y=\"0.4\" \
+    svg += "<path d=\"M0.8 0.32h1\" stroke=\"#000\" stroke-width=\"0.06\"/><text x=\"0.1\" y=\"0.4\" \
             style=\"font-size:.28px;fill:#000\">1 m</text>";
     for place in &shown.places {
         let [x, y] = at(place.at_m);
@@ -115,7 +115,7 @@ pub(super) fn world(truth: &PlanView, shown: &Shown, order: &[String]) -> Result
             if x < w / 2.0 { x + BESIDE_M } else { x - BESIDE_M },
             if y < h / 2.0 { y + BESIDE_M } else { y - BESIDE_M },
         ];
-        let wide = DISC_M * (0.4 + 0.6 * numbers.len() as f64);
+        let wide = DISC_M * (0.1 + 0.9 * numbers.len() as f64);
         let _ = write!(
             svg,
             "<g><title>{}</title><path d=\"M{x:.2} {y:.2}L{cx:.2} {cy:.2}\" stroke=\"#a33\" stroke-width=\"0.03\"/><ellipse \

@@ -192,7 +192,7 @@ pub fn run_all(plan: &Plan, stop: &AtomicBool, progress: &(dyn Fn(u64) + Sync)) 
         Err(fault) if !stop.load(Ordering::SeqCst) => return Err(fault),
         Err(_) => {}
     }
-    outcome.done = seeds.iter().filter(|seed| file_of(plan.dir, **seed).exists()).count() as u64;
+    outcome.done = seeds.iter().filter(|seed| stored(&file_of(plan.dir, **seed), plan, **seed).is_ok()).count() as u64;
     Ok(outcome)
 }
 

@@ -1,6 +1,6 @@
 //! The truth that sensors are held against: where every obstacle is at every moment, and what of it the robot could see.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
@@ -14,10 +14,18 @@ pub(super) type V3 = Vector3<f64>;
 
 /// Distance between samples of a surface [m].
 const SAMPLE_M: f64 = 0.05;
-/// Most samples of one target.
-const SAMPLES_MAX: usize = 300;
+/// Larger targets have samples farther apart, for up to so many of them ...
+const SAMPLES: f64 = 300.0;
+/// ... but never farther than this share of the tolerance, or right readings would find no sample near them ...
+const SAMPLE_SHARE: f64 = 0.7;
+/// ... unless they would be more than this.
+const SAMPLES_MAX: f64 = 3e5;
+/// Samples of all obstacles are kept by squares of the ground with this side [m].
+const SQUARE_M: f64 = 1.0;
 /// From these heights over the robot's foot a place is seen: about where the ring and the finder's camera are [m].
 const EYES_M: [f64; 2] = [0.4, 1.0];
+/// A robot stands on the highest thing under it that is lower than this [m].
+const FLOOR_M_MAX: f64 = 0.5;
 /// Samples are taken so far in front of their surface [m].
 const OFF_M: f64 = 0.005;
 
@@ -55,8 +63,8 @@ pub(super) struct Stage {
     /// Those of bodies that are higher than the floor, and which body of the scene each of its bodies is.
     obstacles: Surfaces,
     obstacle_of: Vec<usize>,
-    /// Samples of all obstacles: of those at rest in the world's frame, and of each that moves in its own.
-    still: Vec<V3>,
+    /// Samples of all obstacles: of those at rest in the world's frame, by squares of the ground; of each that moves in its own.
+    still: BTreeMap<[i64; 2], Vec<V3>>,
     moving: Vec<(usize, Vec<V3>)>,
     start: Vec<Isometry3<f64>>,
     poses: Vec<Isometry3<f64>>,
@@ -67,16 +75,21 @@ impl Stage {
     /// The world of a scenario at the start.
     pub fn new(scenario: &Scenario) -> Result<Self> {
         let (scene, params) = (&scenario.scene, scenario.compare.clone());
+        let surfaces = Surfaces::new(scene)?;
+        let floor_m = floor_under(scenario, &surfaces);
         let obstacle_of: Vec<usize> =
-            (0..scene.bodies.len()).filter(|i| is_obstacle(&scene.bodies[*i], params.clearance_m)).collect();
-        let bodies = obstacle_of.iter().map(|i| scene.bodies[*i].clone()).collect();
-        let (mut still, mut moving) = (Vec::new(), Vec::new());
+            (0..scene.bodies.len()).filter(|i| is_obstacle(&scene.bodies[*i], floor_m + params.clearance_m)).collect();
+        let bodies: Vec<Body> = obstacle_of.iter().map(|i| scene.bodies[*i].clone()).collect();
+        let spacing_m = spread(bodies.iter().map(|body| area(&body.shape)).sum(), 3.0 * SAMPLES_MAX).max(SAMPLE_M);
+        let (mut still, mut moving) = (BTreeMap::<_, Vec<V3>>::new(), Vec::new());
         for &index in &obstacle_of {
             let body = &scene.bodies[index];
-            let own = sampled(&body.shape, SAMPLE_M);
+            let own = sampled(&body.shape, spacing_m);
             match body.motion {
                 crate::world::Motion::Static => {
-                    still.extend(own.iter().map(|at| (body.pose * Point3::from(*at)).coords));
+                    for at in own.iter().map(|at| (body.pose * Point3::from(*at)).coords) {
+                        still.entry(square(&at)).or_default().push(at);
+                    }
                 }
                 _ => moving.push((index, own)),
             }
@@ -84,7 +97,7 @@ impl Stage {
         let start: Vec<_> = scene.bodies.iter().map(|body| body.pose).collect();
         Ok(Self {
             sites: sites(scene, &params, &obstacle_of),
-            surfaces: Surfaces::new(scene)?,
+            surfaces,
             obstacles: Surfaces::new(&Scene { bodies, ..Scene::default() })?,
             obstacle_of,
             still,
@@ -118,11 +131,11 @@ impl Stage {
         Ok(())
     }
 
-    /// Where the sites are at the start.
+    /// Where the sites are now.
     pub fn places(&self) -> Vec<Place> {
         let place = |site: &Site| {
             let at = |sample: &Sample| match sample.body {
-                Some(body) => (self.start[body] * Point3::from(sample.at)).coords,
+                Some(body) => (self.poses[body] * Point3::from(sample.at)).coords,
                 None => sample.at,
             };
             let middle = site.samples.iter().map(at).sum::<V3>() / site.samples.len().max(1) as f64;
@@ -172,7 +185,10 @@ impl Stage {
         let moved = |(body, own): &(usize, Vec<V3>)| {
             own.iter().any(|at| within(&(self.poses[*body] * Point3::from(*at)).coords))
         };
-        self.still.iter().any(within) || self.moving.iter().any(moved)
+        let far_m = range_m + self.params.tolerance_m;
+        let (low, high) = (square(&from.add_scalar(-far_m)), square(&from.add_scalar(far_m)));
+        let rows = (low[0]..=high[0]).map(|x| self.still.range([x, low[1]]..=[x, high[1]]));
+        rows.flatten().any(|(_, samples)| samples.iter().any(within)) || self.moving.iter().any(moved)
     }
 
     /// Whether a site moves.
@@ -194,18 +210,51 @@ pub(super) fn wrapped(angle: f64) -> f64 {
     angle.sin().atan2(angle.cos())
 }
 
-/// Whether a body is higher than the floor.
-fn is_obstacle(body: &Body, clearance_m: f64) -> bool {
+/// The square of the ground under a place.
+fn square(at: &V3) -> [i64; 2] {
+    [at.x, at.y].map(|c| (c / SQUARE_M).floor() as i64)
+}
+
+/// Height of the floor under the robot's start, 0 where there is none [m].
+fn floor_under(scenario: &Scenario, surfaces: &Surfaces) -> f64 {
+    let start = scenario.robot.start;
+    let above = V3::new(start.x_m, start.y_m, FLOOR_M_MAX);
+    surfaces.cast(above.into(), &-V3::z(), 100.0).map_or(0.0, |hit| FLOOR_M_MAX - hit.range_m)
+}
+
+/// Whether a body is no floor, and higher than this [m].
+fn is_obstacle(body: &Body, high_m: f64) -> bool {
     let top = |shape: &Shape| {
         let vertices = shape.tessellate(0.0).vertices.into_iter();
         vertices.map(|v| (body.pose * Point3::from(v)).z).fold(f64::NEG_INFINITY, f64::max)
     };
-    body.shape != Shape::Plane && top(&body.shape) > clearance_m
+    body.shape != Shape::Plane && !body.ground && top(&body.shape) > high_m
+}
+
+/// Area of a surface [m²].
+fn area(shape: &Shape) -> f64 {
+    let mesh = shape.tessellate(0.0);
+    let corner = |i: u32| mesh.vertices.get(i as usize).copied().unwrap_or_default();
+    mesh.triangles
+        .iter()
+        .map(|[a, b, c]| (corner(*b) - corner(*a)).cross(&(corner(*c) - corner(*a))).norm() / 2.0)
+        .sum()
+}
+
+/// How far apart so many samples of an area are [m].
+fn spread(area_m2: f64, samples: f64) -> f64 {
+    (area_m2 / samples).sqrt()
+}
+
+/// How far apart samples of a target of this area are [m].
+fn spacing(area_m2: f64, tolerance_m: f64) -> f64 {
+    let sparse = spread(area_m2, SAMPLES).max(SAMPLE_M);
+    sparse.min(SAMPLE_SHARE * tolerance_m).max(spread(area_m2, SAMPLES_MAX))
 }
 
 fn sites(scene: &Scene, params: &CompareParams, obstacles: &[usize]) -> Vec<Site> {
     if !params.target.is_empty() {
-        return params.target.iter().map(|target| site(scene, target)).collect();
+        return params.target.iter().map(|target| site(scene, target, params.tolerance_m)).collect();
     }
     let all = obstacles.iter().map(|index| {
         let name = scene.bodies[*index].name.clone();
@@ -218,48 +267,49 @@ fn sites(scene: &Scene, params: &CompareParams, obstacles: &[usize]) -> Vec<Site
             line: Vec::new(),
             z: Vec::new(),
         };
-        site(scene, &target)
+        site(scene, &target, params.tolerance_m)
     });
     all.collect()
 }
 
-fn site(scene: &Scene, params: &TargetParams) -> Site {
-    let sample = |spacing: f64| -> Vec<Sample> {
-        if let ([from, to], [low, high]) = (params.line.as_slice(), params.z.as_slice()) {
+fn site(scene: &Scene, params: &TargetParams, tolerance_m: f64) -> Site {
+    let samples = match (params.line.as_slice(), params.z.as_slice()) {
+        ([from, to], [low, high]) => {
             let point = |end: &[f64], z: f64| V3::new(end[0], end[1], z);
             let (from, to) = (point(from, *low), point(to, *low));
             if params.kind == Kind::Drop {
-                return hole(&from, &to, spacing);
+                let across = to - from;
+                hole(&from, &to, spacing((across.x * across.y).abs(), tolerance_m))
+            } else {
+                strip(&from, &to, high - low, tolerance_m)
             }
-            let steps = |length: f64| (length / spacing).ceil() as usize;
-            let (along, up) = (steps((to - from).norm()), steps(high - low));
-            let share = |i: usize, of: usize| if of == 0 { 0.0 } else { i as f64 / of as f64 };
-            let at = |i, j| from + (to - from) * share(i, along) + V3::z() * ((high - low) * share(j, up));
-            return (0..=along)
-                .flat_map(|i| (0..=up).map(move |j| (i, j)))
-                .map(|(i, j)| Sample { body: None, at: at(i, j) })
-                .collect();
         }
-        let indices = (0..scene.bodies.len()).filter(|i| params.bodies.contains(&scene.bodies[*i].name));
-        indices
-            .flat_map(|i| {
-                sampled(&scene.bodies[i].shape, spacing).into_iter().map(move |at| Sample { body: Some(i), at })
-            })
-            .collect()
+        _ => {
+            let indices = (0..scene.bodies.len()).filter(|i| params.bodies.contains(&scene.bodies[*i].name));
+            let spacing = spacing(indices.clone().map(|i| area(&scene.bodies[i].shape)).sum(), tolerance_m);
+            let of = |i: usize| sampled(&scene.bodies[i].shape, spacing).into_iter().map(move |at| (i, at));
+            indices.flat_map(of).map(|(body, at)| Sample { body: Some(body), at }).collect()
+        }
     };
-    let mut spacing = SAMPLE_M;
-    let mut samples = sample(spacing);
-    while samples.len() > SAMPLES_MAX && spacing < 2.0 {
-        spacing *= 1.3;
-        samples = sample(spacing);
-    }
     Site { params: params.clone(), samples }
+}
+
+/// Places all over an upright strip.
+fn strip(from: &V3, to: &V3, height: f64, tolerance_m: f64) -> Vec<Sample> {
+    let length = (to - from).norm();
+    let spacing = spacing(length * height, tolerance_m).max(length.max(height) / SAMPLES_MAX);
+    let steps = |length: f64| (length / spacing).ceil() as usize;
+    let (along, up) = (steps(length), steps(height));
+    let share = |i: usize, of: usize| if of == 0 { 0.0 } else { i as f64 / of as f64 };
+    let at = |i, j| from + (to - from) * share(i, along) + V3::z() * (height * share(j, up));
+    let places = (0..=along).flat_map(|i| (0..=up).map(move |j| (i, j)));
+    places.map(|(i, j)| Sample { body: None, at: at(i, j) }).collect()
 }
 
 /// Places all over a hole, at the height of the floor.
 fn hole(from: &V3, to: &V3, spacing: f64) -> Vec<Sample> {
     let across = to - from;
-    let steps = [across.x, across.y].map(|side| (side.abs() / spacing).ceil().clamp(1.0, 1000.0) as usize);
+    let steps = [across.x, across.y].map(|side| (side.abs() / spacing).ceil().clamp(1.0, 1e4) as usize);
     let place = move |i: usize, j: usize| {
         let share = |k: usize, of: usize| k as f64 / of as f64;
         from + V3::new(across.x * share(i, steps[0]), across.y * share(j, steps[1]), 0.0)
@@ -276,14 +326,14 @@ fn sampled(shape: &Shape, spacing: f64) -> Vec<V3> {
     for [a, b, c] in &mesh.triangles {
         let corner = |i: u32| mesh.vertices.get(i as usize).copied().unwrap_or_default();
         let (a, b, c) = (corner(*a), corner(*b), corner(*c));
-        let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
-        let steps = (longest / spacing).ceil().clamp(1.0, 2000.0) as usize;
         // Both sides of a thin plate are sampled: of each only its own can be seen.
         let normal = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_default();
         let facing: [i64; 3] = std::array::from_fn(|axis| normal[axis].round() as i64);
-        for i in 0..=steps {
-            for j in 0..=steps - i {
-                let at = a + (b - a) * (i as f64 / steps as f64) + (c - a) * (j as f64 / steps as f64);
+        let [along, across] = [b - a, c - a].map(|side| (side.norm() / spacing).ceil().clamp(1.0, 1e5) as usize);
+        for i in 0..=along {
+            let most = across - across * i / along;
+            for j in 0..=most {
+                let at = a + (b - a) * (i as f64 / along as f64) + (c - a) * (j as f64 / across as f64);
                 let key: [i64; 3] = std::array::from_fn(|axis| (at[axis] / spacing).round() as i64);
                 if taken.insert((facing, key)) {
                     out.push(at);
@@ -295,10 +345,10 @@ fn sampled(shape: &Shape, spacing: f64) -> Vec<V3> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn stage(bodies: &str, compare: &str) -> Stage {
+    pub fn stage(bodies: &str, compare: &str) -> Stage {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("s.toml");
         std::fs::write(&path, format!("name = 's'\n[world]\nground = true\n{bodies}\n[compare]\n{compare}")).unwrap();
@@ -331,6 +381,29 @@ mod tests {
             let view = stage.view(&stage.sites[0], &Transform::planar(x, 0.0, yaw)).unwrap();
             let middle = V3::new(face, 0.0, 0.4);
             assert!(view.places.iter().any(|at| (at - middle).norm() < 0.1), "from {x}: {:?}", view.places);
+        }
+    }
+
+    #[test]
+    fn every_place_of_a_long_wall_has_a_sample_near_it() {
+        let stage = stage("[[world.box]]\nname = 'wall'\nposition = [2.0, 0.0]\nsize = [0.1, 12.8, 1.0]\n", "");
+        let tolerance_m = stage.params.tolerance_m;
+        for k in 0..=250 {
+            let place = V3::new(1.95, f64::from(k) * 0.05 - 6.25, 0.4);
+            let pose = stage.poses[stage.sites[0].samples[0].body.unwrap()];
+            let near_m = stage.sites[0].samples.iter().map(|s| ((pose * Point3::from(s.at)).coords - place).norm());
+            assert!(near_m.fold(f64::INFINITY, f64::min) < tolerance_m, "{place:?}");
+        }
+    }
+
+    #[test]
+    fn targets_without_end_are_sampled_within_reason() {
+        let long = "[[compare.target]]\nname = 'a'\nclass = 'a'\nline = [[-1e5, -1e5], [1e5, 1e5]]\nz = [0.0, 99.0]\n\
+            [[compare.target]]\nname = 'b'\nclass = 'b'\nkind = 'drop'\nline = [[-1e5, -1e5], [1e5, 1e5]]\nz = [0.0, 0.0]\n\
+            [[compare.target]]\nname = 'c'\nclass = 'c'\nbodies = ['slab']\n";
+        let stage = stage("[[world.box]]\nname = 'slab'\nposition = [0.0, 0.0]\nsize = [1000.0, 1000.0, 0.2]\n", long);
+        for site in &stage.sites {
+            assert!((1000..2_000_000).contains(&site.samples.len()), "{} {}", site.params.name, site.samples.len());
         }
     }
 

@@ -46,13 +46,15 @@ pub fn rate(seeds: &[(u64, u64)]) -> Option<Rate> {
     if of == 0.0 {
         return None;
     }
+    // Seeds that had more tries weigh more: so many equal ones would say as much (Kish).
     let (p, clusters) = (hits / of, seeds.len() as f64);
+    let equal = of * of / seeds.iter().map(|s| s.1 * s.1).sum::<f64>();
     let tries = if p == 0.0 || p == 1.0 {
-        clusters
+        equal
     } else {
         let spread: f64 = seeds.iter().map(|s| (s.0 - p * s.1).powi(2)).sum();
         let variance = spread * clusters / (clusters - 1.0).max(1.0) / (of * of);
-        (p * (1.0 - p) / variance).clamp(clusters.min(of), of)
+        (p * (1.0 - p) / variance).clamp(equal.min(of), of)
     };
     let ci95 = (seeds.len() > 1).then(|| {
         let t = student(seeds.len() - 1);

@@ -317,13 +317,14 @@ fn differences(scenario: &Scenario, trials: &[Trial], order: &[String]) -> Vec<D
         .collect();
     let errors = |pick: fn(&super::Account) -> f64| {
         move |trial: &Trial, sensor: usize| {
-            let accounts = trial.classes.values().flatten().map(|e| &e.by[sensor]);
-            let (sum, count) = accounts.fold((0.0, 0), |(sum, count), a| (sum + pick(a), count + a.errors));
-            (count > 0).then(|| (sum / count as f64).sqrt())
+            // Of encounters in which both saw it, each as much as any other: who sees what is hard to see must not lose by it.
+            let met = trial.classes.values().flatten().filter(|e| e.by.iter().all(|account| account.errors > 0));
+            let squares: Vec<f64> = met.map(|e| pick(&e.by[sensor]) / e.by[sensor].errors as f64).collect();
+            (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
         }
     };
-    out.push(paired("all classes", "RMS range error [m]", false, trials, &errors(|a| a.range_m2)));
-    out.push(paired("all classes", "RMS bearing error [rad]", false, trials, &errors(|a| a.bearing_rad2)));
+    out.push(paired("encounters that both saw", "RMS range error [m]", false, trials, &errors(|a| a.range_m2)));
+    out.push(paired("encounters that both saw", "RMS bearing error [rad]", false, trials, &errors(|a| a.bearing_rad2)));
     let false_share = |trial: &Trial, sensor: usize| {
         let all = &trial.reports[sensor];
         (all.reports > 0).then(|| all.false_reports as f64 / all.reports as f64)
@@ -404,6 +405,7 @@ pub(super) mod tests {
             captures: 60,
             pings: 150,
             bytes: [1000, 100, 1950],
+            refused: [0; 2],
             targets: 1,
             classes: [("box".to_string(), vec![encounter])].into(),
             reports: [reports.clone(), reports],

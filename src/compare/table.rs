@@ -29,7 +29,9 @@ fn flat(value: Json) -> Json {
             let mut out = Map::new();
             for (name, field) in fields {
                 match field {
-                    Json::Object(mut figure) if figure.len() == 2 && figure.contains_key("value") => {
+                    Json::Object(mut figure)
+                        if figure.len() == 2 && figure.contains_key("value") && figure.contains_key("ci95") =>
+                    {
                         out.insert(format!("{name}_ci95"), figure.remove("ci95").unwrap_or_default());
                         out.insert(name, figure.remove("value").unwrap_or_default());
                     }

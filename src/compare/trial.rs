@@ -11,7 +11,7 @@ use super::ledger::{Encounter, LASER, Ledger, Reports, ULTRASONIC};
 use super::matching::{Cone, LaserPoint, Slit};
 use super::stage::{Stage, V3};
 use crate::fault::{Fault, Result};
-use crate::maps::Layers;
+use crate::maps::{Layers, PlanView};
 use crate::navigation::Step as MissionStep;
 use crate::pipeline::{Pipeline, Step};
 use crate::sources::{Heard, PlanTruth, Scenario, ShotTruth, Simulation};
@@ -68,6 +68,8 @@ pub struct Trial {
     pub pings: u64,
     /// Bytes of all images, of all lines found in them, of all ultrasonic readings.
     pub bytes: [u64; 3],
+    /// Captures without a profile and ultrasonic readings that the maps refused.
+    pub refused: [u64; 2],
     /// Obstacles in the world.
     pub targets: u64,
     /// Encounters by class.
@@ -125,7 +127,9 @@ pub fn run(
         shot.heard.iter().try_for_each(|heard| book.hear(heard))?;
         book.look(&shot.truth, shot.capture.stamp)?;
         book.captures += 1;
-        if let Ok(step) = book.pipeline.step(&shot.capture).map_err(|_| ())
+        let step = book.pipeline.step(&shot.capture);
+        book.refused[LASER] += u64::from(step.is_err() && sensors.laser);
+        if let Ok(step) = step
             && sensors.laser
         {
             let columns = step.line.columns.iter().flatten().count() as u64;
@@ -152,6 +156,7 @@ struct Book {
     captures: u64,
     pings: u64,
     bytes: [u64; 3],
+    refused: [u64; 2],
     travel_m: f64,
     foot: Option<V3>,
     moved: Vec<(usize, nalgebra::Isometry3<f64>)>,
@@ -167,6 +172,7 @@ impl Book {
             captures: 0,
             pings: 0,
             bytes: [0; 3],
+            refused: [0; 2],
             travel_m: 0.0,
             foot: None,
             moved: Vec::new(),
@@ -188,16 +194,14 @@ impl Book {
     fn hear(&mut self, heard: &Heard) -> Result<()> {
         self.pings += 1;
         self.bytes[2] += READING_BYTES;
-        // A reading that the pipeline refuses is counted as sent, and says nothing.
+        // A reading that the pipeline refuses is counted, and says nothing.
         if self.pipeline.hear(&heard.reading).is_err() {
+            self.refused[ULTRASONIC] += 1;
             return Ok(());
         }
         self.ledger.look(heard.reading.stamp, &heard.truth.world_from_robot, &self.moved)?;
         let ping = &heard.truth.ping;
         let Some(range_m) = heard.reading.range_m.map(f64::from) else { return Ok(()) };
-        if range_m > self.ledger.stage.params.range_m {
-            return Ok(());
-        }
         let cause = ping.causes.first().and_then(|cause| ping.echoes.get(*cause));
         let cone = Cone {
             from: ping.aim.at.xyz,
@@ -214,8 +218,10 @@ impl Book {
         self.ledger.finish();
         let maps = self.pipeline.maps();
         let layers = maps.layers().unwrap_or_else(|| {
+            // The ring said nothing: of its map nothing is known.
             let laser = maps.plan_view();
-            Layers { fused: laser.clone(), ultrasonic: laser.clone(), laser }
+            let ultrasonic = PlanView { cells: vec![-1; laser.cells.len()], ..laser.clone() };
+            Layers { fused: laser.clone(), ultrasonic, laser }
         });
         let (stage, plan) = (&self.ledger.stage, &scenario.pipeline.maps.plan);
         let truth = PlanTruth::new(&layers.fused, &scenario.scene, &stage.surfaces, plan, &self.way_m)?;
@@ -237,6 +243,7 @@ impl Book {
             captures: self.captures,
             pings: self.pings,
             bytes: self.bytes,
+            refused: self.refused,
             targets: self.ledger.stage.sites.len() as u64,
             classes: self.ledger.classes,
             reports: self.ledger.reports,

@@ -12,7 +12,7 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
     let classes: Vec<&Difference> = found.differences.iter().filter(|d| d.measure == "detection rate").collect();
     let measured: Vec<&&Difference> = classes.iter().filter(|d| d.difference.is_some()).collect();
     if measured.is_empty() {
-        out.push("No obstacle came into play: no detection rate was measured.".to_string());
+        out.push("No obstacle came into play near enough: no detection rate was measured.".to_string());
     }
     let count = found.differences.iter().filter(|d| d.p.is_some()).count();
     let least = 2.0_f64.powi(1 - seeds.min(60) as i32).min(1.0);
@@ -43,7 +43,7 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
     }
     let unmet: Vec<&str> = classes.iter().filter(|d| d.difference.is_none()).map(|d| d.what.as_str()).collect();
     if !unmet.is_empty() {
-        out.push(format!("Not measured, since it never came into play: {}.", unmet.join(", ")));
+        out.push(format!("Not measured, since it was never in play near enough: {}.", unmet.join(", ")));
     }
     out.extend(found.differences.iter().filter(|d| d.measure != "detection rate").filter_map(other));
     if seeds > 1 {
@@ -62,7 +62,7 @@ fn alone(found: &Comparison) -> Vec<String> {
         Some(format!("{class} {:.0} %", rate * 100.0))
     };
     let rates: Vec<String> = found.order.iter().filter_map(rate).collect();
-    let rates = if rates.is_empty() { "no obstacle came into play".to_string() } else { rates.join("; ") };
+    let rates = if rates.is_empty() { "no obstacle was in play near enough".to_string() } else { rates.join("; ") };
     vec![format!("Only one sensor was at work, there is nothing to compare it with. Detected, {name}: {rates}.")]
 }
 
@@ -80,8 +80,10 @@ fn other(difference: &Difference) -> Option<String> {
     let Difference { laser: Some(laser), ultrasonic: Some(ultrasonic), winner, .. } = *difference else { return None };
     let percent = |share: f64| format!("{:.1} %", share * 100.0);
     let (what, show): (&str, &dyn Fn(f64) -> String) = match difference.measure {
-        "RMS range error [m]" => ("Error of range, RMS", &|m| format!("{:.0} mm", m * 1e3)),
-        "RMS bearing error [rad]" => ("Error of bearing, RMS", &|rad| format!("{:.2}°", rad.to_degrees())),
+        "RMS range error [m]" => ("Error of range, RMS, of what both saw", &|m| format!("{:.0} mm", m * 1e3)),
+        "RMS bearing error [rad]" => {
+            ("Error of bearing, RMS, of what both saw", &|rad| format!("{:.2}°", rad.to_degrees()))
+        }
         "share of false obstacles" => ("Share of false obstacles", &percent),
         "IoU" => ("Map, intersection over union with the truth", &|iou| format!("{iou:.2}")),
         _ => ("Map, share of its free cells that are not free", &percent),
@@ -113,7 +115,7 @@ mod tests {
         assert!(
             found
                 .iter()
-                .any(|s| s == "Error of range, RMS: laser 20 mm, ultrasonic ring 20 mm: no significant difference.")
+                .any(|s| s == "Error of range, RMS, of what both saw: laser 20 mm, ultrasonic ring 20 mm: no significant difference.")
         );
         assert_eq!(
             said(12, [0, 2], Sensors::BOTH)[1],

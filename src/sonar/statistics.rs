@@ -31,7 +31,7 @@ impl RangeStatistics {
     /// Nothing counted yet. A limit that is not from 0.1 to 100 m is taken as the nearest that is.
     pub fn new(limit_m: f64) -> Self {
         let limit_m = if limit_m.is_nan() { 100.0 } else { limit_m.clamp(BIN_M, 100.0) };
-        let bins = vec![0; (limit_m / BIN_M).round() as usize + 1];
+        let bins = vec![0; (limit_m / BIN_M - 1e-9).ceil() as usize + 1];
         Self { limit_m, readings: 0, dropped: 0, steps: 0, jumps: 0, ranges: bins.clone(), changes: bins }
     }
 
@@ -42,7 +42,7 @@ impl RangeStatistics {
         for range in rows.iter().flat_map(|row| row.as_ref()).map(cut) {
             self.readings += 1;
             self.dropped += u64::from(range >= limit_m);
-            count(&mut self.ranges, range);
+            count(&mut self.ranges, if range >= limit_m { f64::INFINITY } else { range });
         }
         for pair in rows.windows(2) {
             for (before, after) in pair[0].as_ref().iter().zip(pair[1].as_ref()) {
@@ -85,5 +85,11 @@ mod tests {
         assert_eq!((s.ranges[10], s.ranges[50], s.ranges[49], s.changes[15], s.changes[0]), (1, 2, 1, 1, 1));
         assert_eq!(s.changes.iter().sum::<u64>(), 4);
         assert_eq!(RangeStatistics::new(f64::NAN).limit_m, 100.0);
+        // The last bin is for the limit alone, wherever it lies.
+        for limit_m in [4.94, 4.96, 5.0] {
+            let mut s = RangeStatistics::new(limit_m);
+            s.add_run(&[vec![Some(4.93), Some(limit_m)]]);
+            assert_eq!((s.ranges.last(), s.ranges[49]), (Some(&1), 1), "{limit_m}");
+        }
     }
 }

@@ -113,7 +113,11 @@ impl PlanTruth {
         LayerVerdict {
             precision,
             recall,
-            iou: 1.0 / (1.0 / precision + 1.0 / recall - 1.0),
+            // Nothing right is 0, not nothing measured.
+            iou: match (right.yes, found.yes, right.all + found.all) {
+                (0, _, 1..) | (_, 0, 1..) => 0.0,
+                _ => 1.0 / (1.0 / precision + 1.0 / recall - 1.0),
+            },
             free_space_error: wrong.value(),
             free_found: open.value(),
             free_blocked: blocked.value(),
