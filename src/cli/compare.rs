@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::Exit;
 use super::output::start;
-use super::run::drive;
+use super::run::{drive, stem};
 use super::session::{Session, interrupted, progress_bar, stop_requested};
 use super::tell::{answer, make_out, tell};
 use crate::compare::{
@@ -23,7 +23,7 @@ const JSON_HELP: &str = "\
 JSON keys: name, version, fingerprint, seeds, sensors, terms, sim_s, travel_m, collisions, \
 classes {class: {laser | ultrasonic: {opportunities, detected, rate, ci95, encounters, false_share {hits, of, rate, ci95}, \
 range_rmse_m, bearing_rmse_rad, first_detection_m, first_detection_s, by_distance [{from_m, to_m, hits, of, rate, ci95}]}}}, \
-order [class], false_obstacles {sensor: {of_reports, of_seconds}}, \
+either {class: {hits, of, rate, ci95}}, order [class], false_obstacles {sensor: {of_reports, of_seconds}}, \
 map {laser | ultrasonic | fused: {iou, precision, recall, free_space_error, free_found, free_blocked}}, \
 needs {sensor: {power_w, kb_per_s, line_kb_per_s, per_s}}, \
 differences [{what, measure, more_is_better, laser, ultrasonic, difference, p, p_holm, winner}], verdict [sentence], files, redone, kept (seeds done before), \
@@ -45,7 +45,7 @@ pub struct Options {
     /// How many seeds, counted up from the scenario's own
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub seeds: u64,
-    /// Directory for all results [default: out/compare/NAME]
+    /// Directory for all results [default: out/compare/FILE]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Which sensors are at work
@@ -92,7 +92,7 @@ pub fn run(options: Options) -> Result<Exit> {
     };
     let sensors = sensors.validated().map_err(|fault| Fault { what: "--sensors".into(), ..fault })?;
     let scenario = Scenario::load(&path, &options.model_path)?;
-    let dir = options.out.clone().unwrap_or_else(|| Path::new("out/compare").join(&scenario.name));
+    let dir = options.out.clone().unwrap_or_else(|| Path::new("out/compare").join(stem(&path)));
     let recorded = recorded(&options)?;
     let threads = options.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     make_out(&dir)?;

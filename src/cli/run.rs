@@ -108,7 +108,7 @@ pub fn run(options: Options) -> Result<Exit> {
         let (scene, plan) = (&scenario.scene, &scenario.pipeline.maps.plan);
         let plan = PlanTruth::new(&layers.fused, scene, simulation.surfaces(), plan, judge.way_m())?;
         truth.map = Some(plan.judge(&layers));
-        files.push(opened.picture(&layers, Some(&plan.view))?);
+        files.push(opened.picture(&layers, Some(&plan.of(&layers.fused)))?);
     }
     if session.captures == 0 && !stop_requested() {
         let found = format!("none in {} s", scenario.duration_s);
@@ -164,7 +164,7 @@ fn log_notes(session: &mut Session, notes: Vec<String>) {
 }
 
 /// The name of a file up to its first dot: results go to `out/` and that.
-fn stem(path: &Path) -> String {
+pub(super) fn stem(path: &Path) -> String {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     name.split('.').next().filter(|s| !s.is_empty()).unwrap_or("run").to_string()
 }

@@ -286,7 +286,7 @@ mod tests {
     fn a_far_range_shows_a_way_through_and_is_not_judged_itself() {
         let ledger = book(WALL, GAP, 0.0, |ledger, stamp| ledger.cone(stamp, &ahead(4.7)));
         let met = &ledger.classes["gap"][0];
-        assert_eq!((met.by[ULTRASONIC].seen.get(&2), met.by[LASER].seen.len()), (Some(&1), 0), "{met:?}");
+        assert_eq!((met.by[ULTRASONIC].seen.get(&3), met.by[LASER].seen.len()), (Some(&1), 0), "{met:?}");
         assert!((met.by[ULTRASONIC].first_s.unwrap() - 0.5).abs() < 1e-9 && (0.7..1.1).contains(&met.seconds));
         assert_eq!(ledger.reports[ULTRASONIC], Reports::default());
         // From before the gap it is no way through, and where nothing is it is false.

@@ -104,11 +104,15 @@ fn detection_table(found: &Comparison) -> String {
             Some(winner) => winner.to_string(),
             None => "–".into(),
         };
-        [format!("{number} {class}"), tries.to_string(), rate("laser"), rate("ultrasonic"), winner, p]
+        let either = share(found.either.get(class).copied().flatten());
+        [format!("{number} {class}"), tries.to_string(), rate("laser"), rate("ultrasonic"), winner, p, either]
     });
     String::from("<h2>Detection</h2>")
         + "<p>Share of opportunities in which the obstacle was seen, in per cent, with 95 % intervals over seeds.</p>"
-        + &html::table(["class", "opportunities", "laser [%]", "ultrasonic [%]", "better", "p (Holm)"], rows)
+        + &html::table(
+            ["class", "opportunities", "laser [%]", "ultrasonic [%]", "better", "p (Holm)", "either of them [%]"],
+            rows,
+        )
 }
 
 fn errors_table(found: &Comparison) -> String {
@@ -221,7 +225,7 @@ fn maps(found: &Comparison, views: &[PlanView]) -> Result<String> {
     });
     let mut out = String::from("<h2>Maps</h2>")
         + "<p>Against what was within reach of the robot's way: cells of 5 cm, right within one cell; means over seeds with 95 % \
-           intervals. “Free, but not so” is the share of a map's free cells that a robot would run into, “blocked, but free” the share of free cells where it would not dare to go.</p>"
+           intervals. “Free, but not so” is the share of a map's free cells to which the robot cannot roll (surfaces, holes, behind walls), “blocked, but free” the share of free cells where it would not dare to go.</p>"
         + &html::table(
             [
                 "map",
@@ -279,7 +283,8 @@ fn definitions(found: &Comparison) -> String {
             t.range_m
         ),
         "Errors of range and bearing: of a sighting against the place where its light or sound truly came from, seen from the sensor. Where the \
-         sensors are compared, only encounters in which both saw something count, each as much as any other."
+         sensors are compared, only encounters in which both saw something count, each as much as any other. The robot's true pose and the \
+         finder's true calibration are used: what odometry and calibration add comes on top."
             .into(),
         format!("“Robot fast”: faster than {} m/s.", t.fast_m_s),
         "Intervals: 95 %, over seeds. Rates: Wilson's with as many independent tries as the spread between seeds leaves. All else: percentiles \
@@ -333,6 +338,6 @@ mod tests {
         assert!(!html.contains("src=\"http") && !html.contains("<script") && !html.contains("@import"));
         let row = |class: &str| html.split("<tr>").find(|row| row.contains(class)).unwrap().to_string();
         assert!(row("1 box").contains("<td>100 (") && row("1 box").contains("<td>0 ("), "{}", row("1 box"));
-        assert_eq!(row("2 never met").matches("not measured").count(), 2);
+        assert_eq!(row("2 never met").matches("not measured").count(), 3);
     }
 }

@@ -6,6 +6,8 @@ use serde::Serialize;
 
 /// Draws of a bootstrap.
 const DRAWS: usize = 2000;
+/// Fewest seeds that are drawn from.
+const BOOTSTRAP_MIN: usize = 5;
 /// Draws of the test by flipped signs, where there are too many to try them all.
 const FLIPS: usize = 20_000;
 /// Up to so many seeds all flips are tried.
@@ -61,7 +63,11 @@ pub fn rate(seeds: &[(u64, u64)]) -> Option<Rate> {
         let t2 = t * t / tries;
         let middle = (p + t2 / 2.0) / (1.0 + t2);
         let half = t / (1.0 + t2) * (p * (1.0 - p) / tries + t2 / (4.0 * tries)).sqrt();
-        [(middle - half).max(0.0), (middle + half).min(1.0)]
+        // Rounding leaves no end beside 0 or 1.
+        [
+            if hits == 0.0 { 0.0 } else { (middle - half).max(0.0) },
+            if hits == of { 1.0 } else { (middle + half).min(1.0) },
+        ]
     });
     Some(Rate { hits: hits as u64, of: of as u64, rate: p, ci95 })
 }
@@ -71,7 +77,8 @@ pub fn rate(seeds: &[(u64, u64)]) -> Option<Rate> {
 pub fn bootstrap<T>(seeds: &[T], statistic: impl Fn(&[&T]) -> Option<f64>) -> Option<Value> {
     let all: Vec<&T> = seeds.iter().collect();
     let value = statistic(&all)?;
-    if seeds.len() < 2 {
+    // The percentiles of fewer are little else than the least and the greatest.
+    if seeds.len() < BOOTSTRAP_MIN {
         return Some(Value { value, ci95: None });
     }
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);

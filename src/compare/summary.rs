@@ -38,6 +38,8 @@ pub struct Comparison {
     pub collisions: u64,
     /// What each sensor made of each class.
     pub classes: BTreeMap<String, BTreeMap<&'static str, ClassResult>>,
+    /// Share of a class's opportunities in which either sensor saw it: what a robot with both would notice.
+    pub either: BTreeMap<String, Option<Rate>>,
     /// Classes in the order of the world file.
     pub order: Vec<String>,
     /// Reports that no surface explains.
@@ -161,6 +163,7 @@ pub fn sum_up(scenario: &Scenario, fingerprint: &str, sensors: Sensors, trials: 
         let found = by_sensor.map(|sensor| (SENSORS[sensor], class_result(scenario, trials, name, sensor)));
         classes.insert(name.clone(), found.collect::<BTreeMap<_, _>>());
     }
+    let either = order.iter().map(|name| (name.clone(), either(scenario, trials, name))).collect();
     let reports = |sensor: usize, pick: fn(&super::Reports) -> (u64, u64)| {
         rate(&trials.iter().map(|trial| pick(&trial.reports[sensor])).collect::<Vec<_>>())
     };
@@ -189,6 +192,7 @@ pub fn sum_up(scenario: &Scenario, fingerprint: &str, sensors: Sensors, trials: 
         needs: needs.collect(),
         differences: if sensors == Sensors::BOTH { differences(scenario, trials, &order) } else { Vec::new() },
         classes,
+        either,
         order,
     })
 }
@@ -223,6 +227,18 @@ fn nominal<'a>(encounter: &'a Encounter, sensor: usize, terms: &CompareParams) -
     opportunities(encounter, sensor, terms.bin_s_min).filter(move |o| within(o.0)).map(|o| o.1)
 }
 
+/// How often either sensor saw a class.
+fn either(scenario: &Scenario, trials: &[Trial], class: &str) -> Option<Rate> {
+    let seen = |trial: &Trial| {
+        let met = encounters(trial, class).iter();
+        counted(met.flat_map(|e| {
+            let both = nominal(e, LASER, &scenario.compare).zip(nominal(e, ULTRASONIC, &scenario.compare));
+            both.map(|(laser, ultrasonic)| laser || ultrasonic)
+        }))
+    };
+    rate(&trials.iter().map(seen).collect::<Vec<_>>())
+}
+
 fn counted(opportunities: impl Iterator<Item = bool>) -> (u64, u64) {
     opportunities.fold((0, 0), |(hits, of), hit| (hits + u64::from(hit), of + 1))
 }
@@ -252,7 +268,8 @@ fn class_result(scenario: &Scenario, trials: &[Trial], class: &str, sensor: usiz
         let one = |trial: &Trial| encounters(trial, class).iter().map(pick).collect::<Vec<f64>>();
         median(&trials.iter().map(one).collect::<Vec<_>>())
     };
-    let first_m = firsts(&|e| e.by[sensor].first_m.unwrap_or(0.0)).filter(|v| v.value > 0.0);
+    // Never is nearer than anything: the same median as that of the times.
+    let first_m = firsts(&|e| e.by[sensor].first_m.map_or(f64::INFINITY, |m| -m)).filter(|v| v.value.is_finite());
     let first_s = firsts(&|e| e.by[sensor].first_s.unwrap_or(f64::INFINITY)).filter(|v| v.value.is_finite());
     ClassResult {
         opportunities: overall.map_or(0, |rate| rate.of),
@@ -266,10 +283,14 @@ fn class_result(scenario: &Scenario, trials: &[Trial], class: &str, sensor: usiz
         }),
         range_rmse_m: sums(|account| account.range_m2),
         bearing_rmse_rad: sums(|account| account.bearing_rad2),
-        first_detection_m: first_m,
+        first_detection_m: first_m.map(finite_end).map(negated),
         first_detection_s: first_s.map(finite_end),
         by_distance: by_distance.collect(),
     }
+}
+
+fn negated(value: Value) -> Value {
+    Value { value: -value.value, ci95: value.ci95.map(|[low, high]| [-high, -low]) }
 }
 
 /// An interval whose upper end is "never" has no end.
@@ -429,6 +450,7 @@ pub(super) mod tests {
         let sound = &found.classes["box"]["ultrasonic"];
         assert_eq!((laser.opportunities, laser.detected, sound.detected), (24, 24, 12));
         assert_eq!((laser.rate, sound.rate), (Some(1.0), Some(0.5)));
+        assert_eq!(found.either["box"].unwrap().hits, 24);
         assert_eq!(sound.by_distance.len(), 2);
         assert_eq!((sound.by_distance[0].rate.rate, sound.by_distance[1].rate.rate), (1.0, 0.0));
         assert!((laser.range_rmse_m.unwrap().value - 0.02).abs() < 1e-12);

@@ -70,6 +70,14 @@ pub fn csv(found: &Comparison) -> String {
             }
         }
     }
+    for (class, seen) in &found.either {
+        rate(&mut out, class, "either", "detection_rate", *seen);
+    }
+    for difference in &found.differences {
+        value(&mut out, &difference.what, "laser less ultrasonic", difference.measure, difference.difference);
+        let p = difference.p_holm.map(|p| Value { value: p, ci95: None });
+        value(&mut out, &difference.what, "laser less ultrasonic", &format!("{}: p_holm", difference.measure), p);
+    }
     for (sensor, reports) in &found.false_obstacles {
         rate(&mut out, "all reports", sensor, "false_share", reports.of_reports);
         rate(&mut out, "all reports", sensor, "seconds_with_a_false_one", reports.of_seconds);

@@ -16,13 +16,14 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
     }
     let count = found.differences.iter().filter(|d| d.p.is_some()).count();
     let least = 2.0_f64.powi(1 - seeds.min(60) as i32).min(1.0);
+    // Flipped signs of n seeds give 2^(1 - n) at least, and Holm asks ALPHA/count of the first.
+    let enough = (count as f64 / super::ALPHA).log2().ceil().max(0.0) as u64 + 1;
     let is_hopeless = seeds < 2 || least * count as f64 > super::ALPHA;
     if seeds < 2 {
         out.push("A single seed has no spread: no interval, and no difference that could be significant.".to_string());
     } else if is_hopeless && !measured.is_empty() {
         out.push(format!(
-            "Too few seeds: with {seeds} no difference can be significant, however large (flipped signs give a probability of {least:.2} \
-             at least, for each of {count} comparisons)."
+            "Too few seeds: with {seeds} no difference can be significant, however large; {enough} or more can show one."
         ));
     }
     for (winner, name) in [("laser", "The laser"), ("ultrasonic", "The ultrasonic ring")] {
@@ -39,13 +40,16 @@ pub fn verdict(found: &Comparison) -> Vec<String> {
     }
     let even: Vec<String> = measured.iter().filter(|d| d.winner.is_none()).map(|d| with_rates(found, d)).collect();
     if !even.is_empty() {
-        out.push(format!("No significant difference in detection: {}.", even.join("; ")));
+        let what = if is_hopeless { "Not decided" } else { "No significant difference in detection" };
+        out.push(format!("{what}: {}.", even.join("; ")));
     }
     let unmet: Vec<&str> = classes.iter().filter(|d| d.difference.is_none()).map(|d| d.what.as_str()).collect();
     if !unmet.is_empty() {
         out.push(format!("Not measured, since it was never in play near enough: {}.", unmet.join(", ")));
     }
-    out.extend(found.differences.iter().filter(|d| d.measure != "detection rate").filter_map(other));
+    out.extend(
+        found.differences.iter().filter(|d| d.measure != "detection rate").filter_map(|d| other(d, is_hopeless)),
+    );
     if seeds > 1 {
         out.push(format!(
             "“Significant” means: over {seeds} seeds, paired, at 5 % after Holm's correction for all {count} comparisons on this page."
@@ -76,7 +80,7 @@ fn with_rates(found: &Comparison, difference: &Difference) -> String {
 }
 
 /// What is asked of all classes together, with both sensors' means.
-fn other(difference: &Difference) -> Option<String> {
+fn other(difference: &Difference, is_hopeless: bool) -> Option<String> {
     let Difference { laser: Some(laser), ultrasonic: Some(ultrasonic), winner, .. } = *difference else { return None };
     let percent = |share: f64| format!("{:.1} %", share * 100.0);
     let (what, show): (&str, &dyn Fn(f64) -> String) = match difference.measure {
@@ -91,6 +95,7 @@ fn other(difference: &Difference) -> Option<String> {
     let judged = match winner {
         Some("laser") => "the laser is better",
         Some(_) => "the ultrasonic ring is better",
+        None if is_hopeless => "not decided",
         None => "no significant difference",
     };
     Some(format!("{what}: laser {}, ultrasonic ring {}: {judged}.", show(laser), show(ultrasonic)))

@@ -174,12 +174,39 @@ impl TargetParams {
     }
 }
 
+/// The line where the target that a fault of `validated` names has its name, from 1.
+pub(super) fn line_of_target(text: &str, what: &str) -> Option<usize> {
+    let name = what.strip_prefix("compare.target `")?.split('`').next()?;
+    let mut is_target = false;
+    text.lines()
+        .position(|line| {
+            let line = line.trim();
+            if line.starts_with('[') {
+                is_target = line.starts_with("[[compare.target]]");
+            }
+            let value = line.strip_prefix("name").and_then(|rest| rest.trim_start().strip_prefix('='));
+            is_target && value.is_some_and(|value| value.trim().trim_matches(['"', '\'']) == name)
+        })
+        .map(|line| line + 1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn fault(text: &str) -> String {
         toml::from_str::<CompareParams>(text).unwrap().validated(&Scene::default()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_target_is_found_by_its_name() {
+        let text = "[[world.box]]\nname = 'b'\n[[compare.target]]\nname = 'a'\n[[compare.target]]\nclass = 'c'\nname = \"b\"\n";
+        assert_eq!(line_of_target(text, "compare.target `b`: bodies"), Some(7));
+        assert_eq!(line_of_target(text, "compare.target `a`: z"), Some(4));
+        assert_eq!(
+            (line_of_target(text, "compare.target `c`: z"), line_of_target(text, "compare.range_m")),
+            (None, None)
+        );
     }
 
     #[test]

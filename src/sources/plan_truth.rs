@@ -13,12 +13,16 @@ const SKY_M: f64 = 1e3;
 const EDGE_M: f64 = 1e-6;
 /// What is farther from the robot's way than the ranges that are mapped is not asked for [m].
 const REACH_M: f64 = 5.0;
+/// Nothing that is mapped is farther from the robot's way [m].
+const MARGIN_M: f64 = 6.0;
+/// Most cells of a truth; of a larger one only what the layers have.
+const CELLS_MAX: f64 = 4e7;
 
 const UNKNOWN: i8 = -1;
 const FREE: i8 = 0;
 const OCCUPIED: i8 = 100;
 
-/// How good a layer is. What lies inside bodies or behind walls is not judged; rates of nothing are null.
+/// How good a layer is; rates of nothing are null.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LayerVerdict {
     /// Share of the occupied cells with a true surface within one cell, also diagonally.
@@ -27,7 +31,7 @@ pub struct LayerVerdict {
     pub recall: f64,
     /// Intersection over union that follows from both, 1/(1/precision + 1/recall − 1).
     pub iou: f64,
-    /// Share of the free cells through which a surface passes: where a robot would run into something.
+    /// Share of the free cells to which the robot cannot roll: surfaces, holes, inside bodies, behind walls.
     pub free_space_error: f64,
     /// Share of the truly free cells in sight of the robot's way that are free.
     pub free_found: f64,
@@ -50,14 +54,15 @@ pub struct LayerVerdicts {
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanTruth {
     /// Free: the robot can roll there from its way. Occupied: from there it hits a surface between the heights of its body, or
-    /// a step of the ground higher than it clears. Unknown: inside bodies, on steps, behind walls.
+    /// a step of the ground higher than it clears. Unknown: inside bodies, on steps, in holes, behind walls. Its cells are
+    /// those around the robot's way, whatever was mapped of them.
     pub view: PlanView,
     /// Whether a straight line leads to each cell from the robot's way, past occupied ones, no longer than 5 m.
     in_sight: Vec<bool>,
 }
 
 impl PlanTruth {
-    /// The truth of the cells of a view; `way_m` are places where the robot was.
+    /// The truth around the robot's way, in cells of a grid that a view has; `way_m` are places where the robot was.
     ///
     /// # Errors
     /// What [`Surfaces::new`] refuses.
@@ -70,19 +75,24 @@ impl PlanTruth {
     ) -> Result<Self> {
         let ground = scene.bodies.iter().filter(|body| body.ground).cloned().collect();
         let ground = Surfaces::new(&Scene { bodies: ground, ..scene.clone() })?;
-        let blank = PlanView { cells: vec![UNKNOWN; like.cells.len()], ..like.clone() };
+        let blank = around(like, way_m);
         let view = Flood { view: blank, surfaces, ground, plan }.from(way_m);
         let in_sight = seen_from(&view, way_m);
         Ok(Self { view, in_sight })
     }
 
-    /// Judges all three layers, which have the cells of this truth.
+    /// Judges all three layers, whose cells are of the same grid.
     pub fn judge(&self, layers: &Layers) -> LayerVerdicts {
         LayerVerdicts {
-            laser: self.verdict(&layers.laser),
-            ultrasonic: self.verdict(&layers.ultrasonic),
-            fused: self.verdict(&layers.fused),
+            laser: self.verdict(&framed(&layers.laser, &self.view)),
+            ultrasonic: self.verdict(&framed(&layers.ultrasonic, &self.view)),
+            fused: self.verdict(&framed(&layers.fused, &self.view)),
         }
+    }
+
+    /// The truth of the cells that a view has.
+    pub fn of(&self, view: &PlanView) -> PlanView {
+        framed(&self.view, view)
     }
 
     /// Judges one.
@@ -93,18 +103,15 @@ impl PlanTruth {
         let (mut open, mut blocked) = (Share::default(), Share::default()); // of the free cells in sight
         let cells = self.view.cells.iter().zip(&layer.cells).zip(&self.in_sight);
         for (at, ((truth, said), in_sight)) in cells.enumerate() {
-            if *truth == UNKNOWN {
-                continue;
-            }
             let beside_surface = near(&self.view, at);
             match *said {
                 OCCUPIED => right.add(beside_surface),
-                FREE => wrong.add(*truth == OCCUPIED),
+                FREE => wrong.add(*truth != FREE),
                 _ => {}
             }
             if *in_sight && *truth == OCCUPIED {
                 found.add(near(layer, at));
-            } else if *in_sight {
+            } else if *in_sight && *truth == FREE {
                 open.add(*said == FREE);
                 blocked.add(*said == OCCUPIED && !beside_surface);
             }
@@ -142,6 +149,39 @@ impl Share {
     fn value(self) -> f64 {
         self.yes as f64 / self.all as f64
     }
+}
+
+/// Unknown cells of a view's grid around the robot's way.
+fn around(like: &PlanView, way_m: &[[f64; 2]]) -> PlanView {
+    let side = like.resolution_m;
+    let cell = |axis: usize, at: f64| ((at - like.origin_m[axis]) / side).floor();
+    let ends = |axis: usize| {
+        let of = way_m.iter().map(|at| at[axis]);
+        let (low, high) = of.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)));
+        [cell(axis, low - MARGIN_M), cell(axis, high + MARGIN_M)]
+    };
+    let [x, y] = [ends(0), ends(1)];
+    let [width, height] = [x, y].map(|[low, high]| high - low + 1.0);
+    if !(width * height <= CELLS_MAX && width >= 1.0) {
+        return PlanView { cells: vec![UNKNOWN; like.cells.len()], ..like.clone() };
+    }
+    let origin_m = [like.origin_m[0] + x[0] * side, like.origin_m[1] + y[0] * side];
+    let (width, height) = (width as usize, height as usize);
+    PlanView { resolution_m: side, origin_m, width, height, cells: vec![UNKNOWN; width * height] }
+}
+
+/// A view in the frame of another one of the same grid; unknown where it has no cells.
+fn framed(view: &PlanView, frame: &PlanView) -> PlanView {
+    let off: [i64; 2] =
+        std::array::from_fn(|axis| ((frame.origin_m[axis] - view.origin_m[axis]) / frame.resolution_m).round() as i64);
+    let mut cells = vec![UNKNOWN; frame.cells.len()];
+    for (at, cell) in cells.iter_mut().enumerate() {
+        let (x, y) = ((at % frame.width) as i64 + off[0], (at / frame.width) as i64 + off[1]);
+        if (0..view.width as i64).contains(&x) && (0..view.height as i64).contains(&y) {
+            *cell = view.cells[y as usize * view.width + x as usize];
+        }
+    }
+    PlanView { cells, ..frame.clone() }
 }
 
 /// The lower left corner of a cell [m].
@@ -328,9 +368,9 @@ mod tests {
                 free_blocked: 0.0
             }
         );
-        let nothing = truth.verdict(&blank());
-        assert!(nothing.precision.is_nan() && nothing.iou.is_nan() && nothing.free_space_error.is_nan());
-        assert_eq!((nothing.recall, nothing.free_found), (0.0, 0.0));
+        let nothing = truth.verdict(&framed(&blank(), &truth.view));
+        assert!(nothing.precision.is_nan() && nothing.free_space_error.is_nan());
+        assert_eq!((nothing.recall, nothing.free_found, nothing.iou), (0.0, 0.0, 0.0));
         // One cell of a wall called free, one in the open called occupied.
         let mut layer = truth.view.clone();
         let free = layer.cells.iter().filter(|cell| **cell == FREE).count() as f64;
@@ -340,9 +380,34 @@ mod tests {
         assert!((verdict.free_space_error - 1.0 / free).abs() < 1e-9, "{verdict:?}");
         assert!(verdict.precision < 1.0 && verdict.free_blocked > 0.0 && verdict.recall == 1.0, "{verdict:?}");
         assert!(verdict.iou < 1.0);
-        // What is claimed inside a body or behind a wall is not judged.
+        // What is claimed behind a wall is wrong, free or not.
         let mut behind = truth.view.clone();
-        behind.cells[index(&layer, [1.18, 0.0]).unwrap()] = OCCUPIED;
-        assert_eq!(truth.verdict(&behind), perfect);
+        behind.cells[index(&layer, [1.25, 0.0]).unwrap()] = OCCUPIED;
+        assert!(truth.verdict(&behind).precision < 1.0);
+        behind.cells[index(&layer, [1.25, 0.0]).unwrap()] = FREE;
+        let verdict = truth.verdict(&behind);
+        assert!(
+            (verdict.free_space_error - 1.0 / (free + 1.0)).abs() < 1e-9 && verdict.precision == 1.0,
+            "{verdict:?}"
+        );
+    }
+
+    #[test]
+    fn the_verdict_on_a_layer_does_not_depend_on_the_size_of_the_maps() {
+        let truth = truth();
+        let part = {
+            let low = index(&truth.view, [-0.6, -0.3]).unwrap();
+            let (x, y) = (low % truth.view.width, low / truth.view.width);
+            let origin_m = corner(&truth.view, low);
+            let rows = (0..10).flat_map(|row| (0..12).map(move |column| (y + row) * truth.view.width + x + column));
+            let cells = rows.map(|at| truth.view.cells[at]).collect();
+            PlanView { origin_m, width: 12, height: 10, cells, ..truth.view.clone() }
+        };
+        let whole = framed(&part, &truth.view);
+        assert_eq!(truth.of(&part), part);
+        let layers = |view: &PlanView| Layers { laser: view.clone(), ultrasonic: view.clone(), fused: view.clone() };
+        let (small, large) = (truth.judge(&layers(&part)), truth.judge(&layers(&whole)));
+        assert_eq!(small.laser.free_found, large.laser.free_found);
+        assert!(small.laser.free_found > 0.0 && small.laser.free_found < 1.0 && small.fused.recall == 0.0);
     }
 }

@@ -50,9 +50,9 @@ impl RangeTable {
     fn add(&mut self, row: &str) -> Result<()> {
         let before = self.ranges_m.len();
         for (column, cell) in cells(row).take(self.count).enumerate() {
-            let range = cell.parse::<f64>().ok().filter(|range| range.is_finite() && *range >= 0.0);
+            let range = cell.parse::<f64>().ok().filter(|range| *range >= 0.0);
             self.ranges_m.push(range.ok_or_else(|| {
-                let expected = "a range [m]: a finite number of at least 0";
+                let expected = "a range [m] of at least 0, or inf where there was no echo";
                 Fault::new(format!("column {}", column + 1), format!("`{}`", shortened(cell)), expected)
             })?);
         }
@@ -109,11 +109,12 @@ mod tests {
 
     #[test]
     fn what_is_no_range_is_refused_with_its_line_and_column() {
-        let range = "expected a range [m]: a finite number of at least 0";
+        let range = "expected a range [m] of at least 0, or inf where there was no echo";
         assert_eq!(fault("a b\n1 2\n1 x\n"), format!("line 3: column 2: found `x`, {range}"));
         assert_eq!(fault("1,nan\n"), format!("line 1: column 2: found `nan`, {range}"));
         assert_eq!(fault("1,2\n\n-0.1,2\n"), format!("line 3: column 1: found `-0.1`, {range}"));
-        assert_eq!(fault("1,2\ninf,2\n"), format!("line 2: column 1: found `inf`, {range}"));
+        assert_eq!(rows("1,2\ninf,2\n", 2)[1], [f64::INFINITY, 2.0]);
+        assert_eq!(fault("1,2\n-inf,2\n"), format!("line 2: column 1: found `-inf`, {range}"));
         assert_eq!(fault("1,,2\n"), format!("line 1: column 2: found ``, {range}"));
         assert_eq!(fault("1,2 3\n"), format!("line 1: column 2: found `2 3`, {range}"));
         // A header has no number, and there is only one.

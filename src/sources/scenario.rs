@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Vector3};
 use serde::Deserialize;
 
 use super::files::read_text;
-use super::obstacles::CompareParams;
+use super::obstacles::{CompareParams, line_of_target};
 use super::rig_file;
 use crate::calibration::finder::drift::DriftParams;
 use crate::calibration::finder::shifted;
@@ -136,7 +136,11 @@ impl Scenario {
             None => here(fault),
         };
         let sonar = file.sonar.map(RingParams::validated).transpose().map_err(at_key)?;
-        let compare = file.compare.validated(&scene).map_err(at_key)?;
+        let at_target = |fault: Fault| match line_of_target(&source.text, &fault.what) {
+            Some(line) => here(fault.at_line(line)),
+            None => at_key(fault),
+        };
+        let compare = file.compare.validated(&scene).map_err(at_target)?;
         let drift = file.drift.unwrap_or_else(|| drift_over(&scene)).validated().map_err(here)?;
         Ok(Self {
             scene,
