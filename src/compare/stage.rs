@@ -76,7 +76,7 @@ impl Stage {
     pub fn new(scenario: &Scenario) -> Result<Self> {
         let (scene, params) = (&scenario.scene, scenario.compare.clone());
         let surfaces = Surfaces::new(scene)?;
-        let floor_m = floor_under(scenario, &surfaces);
+        let (floor_m, floor) = floor_under(scenario, &surfaces);
         let obstacle_of: Vec<usize> =
             (0..scene.bodies.len()).filter(|i| is_obstacle(&scene.bodies[*i], floor_m + params.clearance_m)).collect();
         let bodies: Vec<Body> = obstacle_of.iter().map(|i| scene.bodies[*i].clone()).collect();
@@ -96,7 +96,7 @@ impl Stage {
         }
         let start: Vec<_> = scene.bodies.iter().map(|body| body.pose).collect();
         Ok(Self {
-            sites: sites(scene, &params, &obstacle_of),
+            sites: sites(scene, &params, obstacle_of.iter().filter(|body| Some(**body) != floor)),
             surfaces,
             obstacles: Surfaces::new(&Scene { bodies, ..Scene::default() })?,
             obstacle_of,
@@ -215,20 +215,20 @@ fn square(at: &V3) -> [i64; 2] {
     [at.x, at.y].map(|c| (c / SQUARE_M).floor() as i64)
 }
 
-/// Height of the floor under the robot's start, 0 where there is none [m].
-fn floor_under(scenario: &Scenario, surfaces: &Surfaces) -> f64 {
+/// Height of the floor under the robot's start [m], and which body it is; 0 where there is none.
+fn floor_under(scenario: &Scenario, surfaces: &Surfaces) -> (f64, Option<usize>) {
     let start = scenario.robot.start;
     let above = V3::new(start.x_m, start.y_m, FLOOR_M_MAX);
-    surfaces.cast(above.into(), &-V3::z(), 100.0).map_or(0.0, |hit| FLOOR_M_MAX - hit.range_m)
+    surfaces.cast(above.into(), &-V3::z(), 100.0).map_or((0.0, None), |hit| (FLOOR_M_MAX - hit.range_m, Some(hit.body)))
 }
 
-/// Whether a body is no floor, and higher than this [m].
+/// Whether a body is higher than this [m].
 fn is_obstacle(body: &Body, high_m: f64) -> bool {
     let top = |shape: &Shape| {
         let vertices = shape.tessellate(0.0).vertices.into_iter();
         vertices.map(|v| (body.pose * Point3::from(v)).z).fold(f64::NEG_INFINITY, f64::max)
     };
-    body.shape != Shape::Plane && !body.ground && top(&body.shape) > high_m
+    body.shape != Shape::Plane && top(&body.shape) > high_m
 }
 
 /// Area of a surface [m²].
@@ -252,11 +252,12 @@ fn spacing(area_m2: f64, tolerance_m: f64) -> f64 {
     sparse.min(SAMPLE_SHARE * tolerance_m).max(spread(area_m2, SAMPLES_MAX))
 }
 
-fn sites(scene: &Scene, params: &CompareParams, obstacles: &[usize]) -> Vec<Site> {
+/// The targets; without any, all of these bodies.
+fn sites<'a>(scene: &Scene, params: &CompareParams, bodies: impl Iterator<Item = &'a usize>) -> Vec<Site> {
     if !params.target.is_empty() {
         return params.target.iter().map(|target| site(scene, target, params.tolerance_m)).collect();
     }
-    let all = obstacles.iter().map(|index| {
+    let all = bodies.map(|index| {
         let name = scene.bodies[*index].name.clone();
         let target = TargetParams {
             bodies: vec![name.clone()],
@@ -382,6 +383,16 @@ pub(super) mod tests {
             let middle = V3::new(face, 0.0, 0.4);
             assert!(view.places.iter().any(|at| (at - middle).norm() < 0.1), "from {x}: {:?}", view.places);
         }
+    }
+
+    #[test]
+    fn the_floor_is_no_obstacle_but_a_step_on_it_is() {
+        let slab = |name: &str, x: f64, side: f64, high: f64| {
+            format!("[[world.step]]\nname = '{name}'\nposition = [{x}, 0.0]\nsize = [{side}, {side}, {high}]\n")
+        };
+        let stage = stage(&(slab("floor", 0.0, 6.0, 0.3) + &slab("step", 2.0, 0.5, 0.4)), "");
+        assert_eq!(stage.sites.iter().map(|site| site.params.name.as_str()).collect::<Vec<_>>(), ["step"]);
+        assert!(stage.explains_place(&V3::new(1.75, 0.0, 0.35)));
     }
 
     #[test]
