@@ -46,8 +46,8 @@ fn a_comparison_killed_and_started_again_writes_the_same_bytes() {
     assert!(printed["classes"]["obstacle"]["laser"]["opportunities"].as_u64().unwrap() > 0);
     assert!(printed["verdict"].as_array().unwrap().len() > 3);
     let ring = &printed["classes"]["obstacle"]["ultrasonic"];
-    let [low, high] = [0, 1].map(|end| ring["range_rmse_m_ci95"][end].as_f64().unwrap());
-    assert!((low..=high).contains(&ring["range_rmse_m"].as_f64().unwrap()), "{ring}");
+    // Four seeds are too few to draw from, and enough for the interval of a rate.
+    assert!(ring["range_rmse_m"].is_f64() && ring["range_rmse_m_ci95"].is_null() && ring["ci95"].is_array(), "{ring}");
     assert!(printed["map"]["fused"]["iou"].is_f64() && printed["needs"]["laser"]["power_w"] == 7.0);
     let html = std::fs::read_to_string(once.join("report.html")).unwrap();
     assert!(!html.contains("src=\"http") && !html.contains("<script") && !html.contains("@import"), "needs no network");

@@ -439,7 +439,8 @@ pub(super) mod tests {
         assert!((stage.view(&stage.sites[1], &here).unwrap().distance_m - 1.9).abs() < 0.01);
         stage.set(1.0, &[]).unwrap();
         let moved = stage.view(&stage.sites[1], &here).unwrap();
-        assert!((moved.distance_m - (2.0_f64.hypot(1.0) - 0.1)).abs() < 0.03, "{}", moved.distance_m);
+        // Of round bodies the nearest sample is not quite the nearest place.
+        assert!((moved.distance_m - (2.0_f64.hypot(1.0) - 0.1)).abs() < 1.5 * SAMPLE_M, "{}", moved.distance_m);
         assert!(stage.explains_place(&V3::new(2.0, 0.85, 0.4)) && !stage.explains_place(&V3::new(2.0, 0.0, 0.4)));
         let axis = V3::new(2.0, 1.0, 0.0).normalize();
         let from = V3::new(0.0, 0.0, 0.4);
