@@ -22,8 +22,9 @@ const FREE: Rgb<u8> = Rgb([250, 250, 246]);
 const FALSE: Rgb<u8> = Rgb([220, 50, 40]);
 const MISSED: Rgb<u8> = Rgb([255, 170, 60]);
 
-/// The layers as a PNG file: black occupied, white free, grey unknown. With the truth (100 a surface, 0 free, −1 not to be
-/// judged) it stands first, and in the others red is occupied with no surface within one cell, orange a surface that is free.
+/// The layers as a PNG file: black occupied, white free, grey unknown. With the truth (100 a surface, 0 free, 50 a surface
+/// where the robot cannot come, −1 nothing there and out of reach) it stands first, and in the others red is occupied with no surface within
+/// one cell, orange free where the robot cannot roll.
 ///
 /// # Errors
 /// A truth of another size than the layers; too many cells for a picture.
@@ -64,9 +65,9 @@ fn colour(view: &PlanView, truth: Option<&PlanView>, at: usize) -> Rgb<u8> {
     let said = view.cells.get(at).copied().unwrap_or(-1);
     let truly = truth.and_then(|truth| truth.cells.get(at).copied());
     match (said, truly) {
-        (100, Some(0)) if !truth.is_some_and(|truth| beside_surface(truth, at)) => FALSE,
+        (100, Some(-1 | 0)) if !truth.is_some_and(|truth| beside_surface(truth, at)) => FALSE,
         (100, _) => INK,
-        (0, Some(100)) => MISSED,
+        (0, Some(100 | 50 | -1)) => MISSED,
         (0, _) => FREE,
         _ => UNKNOWN,
     }
@@ -76,7 +77,7 @@ fn colour(view: &PlanView, truth: Option<&PlanView>, at: usize) -> Rgb<u8> {
 fn beside_surface(view: &PlanView, at: usize) -> bool {
     let (x, y) = (at % view.width, at / view.width);
     let mut rows = y.saturating_sub(1)..(y + 2).min(view.height);
-    rows.any(|row| (x.saturating_sub(1)..(x + 2).min(view.width)).any(|c| view.cells[row * view.width + c] == 100))
+    rows.any(|row| (x.saturating_sub(1)..(x + 2).min(view.width)).any(|c| view.cells[row * view.width + c] >= 50))
 }
 
 /// Small letters of 5 x 7 dots, a row a number, the leftmost dot its highest bit: those of the names above.

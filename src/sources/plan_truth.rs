@@ -59,7 +59,13 @@ pub struct PlanTruth {
     pub view: PlanView,
     /// Whether a straight line leads to each cell from the robot's way, past occupied ones, no longer than 5 m.
     in_sight: Vec<bool>,
+    /// Whether a surface lies over each cell at the height of the robot's body, also where the robot cannot come: the top of a
+    /// box, a wall behind a wall.
+    surface: Vec<bool>,
 }
+
+/// In what [`PlanTruth::of`] returns: a surface where the robot cannot come.
+pub const BEYOND: i8 = 50;
 
 impl PlanTruth {
     /// The truth around the robot's way, in cells of a grid that a view has; `way_m` are places where the robot was.
@@ -76,9 +82,14 @@ impl PlanTruth {
         let ground = scene.bodies.iter().filter(|body| body.ground).cloned().collect();
         let ground = Surfaces::new(&Scene { bodies: ground, ..scene.clone() })?;
         let blank = around(like, way_m);
-        let view = Flood { view: blank, surfaces, ground, plan }.from(way_m);
+        let flood = Flood { view: blank, surfaces, ground, plan };
+        let start_m = way_m.first().and_then(|at| index(&flood.view, *at)).map_or(0.0, |at| flood.floor_m(at));
+        let over: Vec<bool> = (0..flood.view.cells.len()).map(|at| flood.is_hit(at, start_m)).collect();
+        let view = flood.from(way_m);
+        let surface = over.iter().zip(&view.cells).map(|(hit, cell)| *cell == OCCUPIED || *cell == UNKNOWN && *hit);
+        let surface = surface.collect();
         let in_sight = seen_from(&view, way_m);
-        Ok(Self { view, in_sight })
+        Ok(Self { view, in_sight, surface })
     }
 
     /// Judges all three layers, whose cells are of the same grid.
@@ -90,9 +101,11 @@ impl PlanTruth {
         }
     }
 
-    /// The truth of the cells that a view has.
+    /// The truth of the cells that a view has, with [`BEYOND`] for surfaces where the robot cannot come.
     pub fn of(&self, view: &PlanView) -> PlanView {
-        framed(&self.view, view)
+        let cells = self.view.cells.iter().zip(&self.surface);
+        let cells = cells.map(|(cell, surface)| if *cell == UNKNOWN && *surface { BEYOND } else { *cell }).collect();
+        framed(&PlanView { cells, ..self.view.clone() }, view)
     }
 
     /// Judges one.
@@ -103,14 +116,14 @@ impl PlanTruth {
         let (mut open, mut blocked) = (Share::default(), Share::default()); // of the free cells in sight
         let cells = self.view.cells.iter().zip(&layer.cells).zip(&self.in_sight);
         for (at, ((truth, said), in_sight)) in cells.enumerate() {
-            let beside_surface = near(&self.view, at);
+            let beside_surface = near(&self.view, at, |at| self.surface[at]);
             match *said {
                 OCCUPIED => right.add(beside_surface),
                 FREE => wrong.add(*truth != FREE),
                 _ => {}
             }
             if *in_sight && *truth == OCCUPIED {
-                found.add(near(layer, at));
+                found.add(near(layer, at, |at| layer.cells[at] == OCCUPIED));
             } else if *in_sight && *truth == FREE {
                 open.add(*said == FREE);
                 blocked.add(*said == OCCUPIED && !beside_surface);
@@ -198,13 +211,13 @@ fn index(view: &PlanView, place_m: [f64; 2]) -> Option<usize> {
     within.then(|| y as usize * view.width + x as usize)
 }
 
-/// Whether the cell or one of its eight neighbours is occupied.
-fn near(view: &PlanView, at: usize) -> bool {
+/// Whether this is so of a cell of a view or one of its eight neighbours.
+fn near(view: &PlanView, at: usize, is_so: impl Fn(usize) -> bool) -> bool {
     let (x, y) = (at % view.width, at / view.width);
     let rows = y.saturating_sub(1)..(y + 2).min(view.height);
     rows.into_iter().any(|row| {
         let columns = x.saturating_sub(1)..(x + 2).min(view.width);
-        columns.into_iter().any(|column| view.cells[row * view.width + column] == OCCUPIED)
+        columns.into_iter().any(|column| is_so(row * view.width + column))
     })
 }
 
@@ -380,6 +393,15 @@ mod tests {
         assert!((verdict.free_space_error - 1.0 / free).abs() < 1e-9, "{verdict:?}");
         assert!(verdict.precision < 1.0 && verdict.free_blocked > 0.0 && verdict.recall == 1.0, "{verdict:?}");
         assert!(verdict.iou < 1.0);
+        // The top of the step is a surface too, and was seen from above; within the tall block is none.
+        let said = |x: f64, y: f64| {
+            let mut layer = truth.view.clone();
+            let at = index(&layer, [x, y]).unwrap();
+            layer.cells[at] = OCCUPIED;
+            truth.verdict(&layer).precision
+        };
+        assert_eq!((cell(&truth.of(&layer), -0.7, 0.47), said(-0.7, 0.47)), (BEYOND, 1.0));
+        assert!(cell(&truth.of(&layer), 0.5, 0.0) == UNKNOWN && said(0.5, 0.0) < 1.0);
         // What is claimed behind a wall is wrong, free or not.
         let mut behind = truth.view.clone();
         behind.cells[index(&layer, [1.25, 0.0]).unwrap()] = OCCUPIED;
