@@ -65,7 +65,7 @@ pub struct PlanTruth {
 }
 
 /// In what [`PlanTruth::of`] returns: a surface where the robot cannot come.
-pub const BEYOND: i8 = 50;
+const BEYOND: i8 = 50;
 
 impl PlanTruth {
     /// The truth around the robot's way, in cells of a grid that a view has; `way_m` are places where the robot was.
@@ -101,7 +101,7 @@ impl PlanTruth {
         }
     }
 
-    /// The truth of the cells that a view has, with [`BEYOND`] for surfaces where the robot cannot come.
+    /// The truth of the cells that a view has, with 50 for surfaces where the robot cannot come.
     pub fn of(&self, view: &PlanView) -> PlanView {
         let cells = self.view.cells.iter().zip(&self.surface);
         let cells = cells.map(|(cell, surface)| if *cell == UNKNOWN && *surface { BEYOND } else { *cell }).collect();
