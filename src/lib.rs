@@ -10,11 +10,13 @@
 //! ```
 //!
 //! A [`image::Capture`] is what the instrument gives: an image (or the line in it), the middle of the exposure, two
-//! encoders and odometry; a [`ranges::RangeReading`] is a ping of one ultrasonic transducer. Each is the same type whether simulated, recorded or real, so a recording maps to the same bits
-//! as the run that made it. Truth travels beside a capture, never in it.
+//! encoders and odometry; a [`ranges::RangeReading`] is a ping of one ultrasonic transducer. Each is the same type whether
+//! simulated, recorded or real, so a recording maps to the same bits as the run that made it. Truth travels beside a
+//! capture, never in it.
 //!
 //! Before the first capture stands the instrument: `design` says what a finder will see, `calibration` turns what was
-//! measured with it into a `rig.toml` with error bars, and `reproduce` recomputes the paper it all comes from.
+//! measured with it into a `rig.toml` with error bars, and `reproduce` recomputes the paper it all comes from. Beside it
+//! stands its rival: `compare` runs both sensors over many seeds and holds what each said against the truth.
 //!
 //! # Levels
 //!

@@ -29,7 +29,7 @@ needs {sensor: {power_w, kb_per_s, line_kb_per_s, per_s}}, \
 differences [{what, measure, more_is_better, laser, ultrasonic, difference, p, p_holm, winner}], verdict [sentence], files, redone, kept (seeds done before), \
 readings {file, world_file, world, about [paragraph], row_s, rates {dropout | jump: {real, simulated, ratio, within_factor_2}}, \
 real | simulated: {limit_m, readings, dropped, steps, jumps, ranges [count per 0.1 m], changes [count per 0.1 m]}} (with --readings). \
-of each figure without a ci95 of its own the 95 % interval is beside it, as NAME_ci95. null: not measured.
+Of each figure without a ci95 of its own the 95 % interval is beside it, as NAME_ci95. null: not measured.
 
 A run that was stopped goes on where it was: every finished seed is kept in DIR/seeds.";
 
